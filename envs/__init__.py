@@ -7,14 +7,14 @@ people: any id that is registered with gymnasium, and targets such as my_module:
 hexapod/          a walking robot: on rough ground, by velocity commands
 kart/             three kinds of kart on tracks, with a LIDAR and a scripted driver
 event_camera.py   an event camera by v2e's model, for any frames
-event_camera_wrapper.py  the same for any environment that renders
+event_camera_wrapper.py  an event camera for any environment that renders
 disturbances.py   noise, delays, weak motors and so on, of any environment
 rollout.py        one episode of a controller, recorded and saved
 archive.py        .npz files, written atomically
-foreign.py        environments of other people, as policies expect them
+foreign.py        environments of other packages, as policies expect them
 returned.py       what their reset and step return, as numbers
-repeats.py        whether they play the same episode again from the same seed
-drawing.py        what draws, not touched until something is drawn
+repeats.py        a check that they repeat an episode when its seed is repeated
+drawing.py        graphics libraries, loaded only when something is drawn
 errors.py         EnvError
 
 A new environment is one file and one line in ENVS.

@@ -110,11 +110,11 @@ class SeededWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation
 
     def _command(self, action: Any) -> Any:  # noqa: ANN401
-        """The action as it arrives."""
+        """Return the action that reaches the environment."""
         return action
 
     def _observe(self, observation: FloatArray) -> FloatArray:
-        """An observation as the policy sees it."""
+        """Return an observation as the policy sees it."""
         return observation
 
 
@@ -198,7 +198,7 @@ class _Sensors(SeededWrapper):
 
 
 class _Errors(_Sensors):
-    """Errors in units of the scale of each observation."""
+    """Sensor errors, in units of the scale of each observation."""
 
     WITHOUT = ("lidar", "contact")  # switches have no noise
 
@@ -303,7 +303,7 @@ def _copied(action: Any) -> Any:  # noqa: ANN401
 
 
 def no_command(env: gymnasium.Env[Any, Any]) -> Any:  # noqa: ANN401
-    """No residual of a walker; a kart's first action, which does nothing.
+    """Return the neutral action: a zero residual of a walker, a kart's first action.
 
     Of other environments the middle of the bounds, or the first choice.
     """
@@ -312,7 +312,7 @@ def no_command(env: gymnasium.Env[Any, Any]) -> Any:  # noqa: ANN401
 
 
 class DeadJoint(SeededWrapper):
-    """Some servos hold nothing: only the friction of their gears is left."""
+    """Servos without torque: only the friction of their gears is left."""
 
     STREAM, WHOLE = "dead-joint", True
 
@@ -377,12 +377,12 @@ def kinds_of(world: str) -> dict[str, Kind]:
 
 
 def row(world: str) -> str:
-    """The key of a world in Kind.levels: its folder, or FOREIGN."""
+    """Return the key of a world in Kind.levels: its folder, or FOREIGN."""
     return world if world in (HEXAPOD, KART) else FOREIGN
 
 
 class Disturbance(Request):
-    """A disturbance as it was asked for; its name is a key of DISTURBANCES."""
+    """A requested disturbance; its name is a key of DISTURBANCES."""
 
     @property
     def kind(self) -> Kind:
@@ -391,7 +391,7 @@ class Disturbance(Request):
 
 
 def disturbances(texts: Sequence[str], world: str) -> list[Disturbance]:
-    """The requests `name:level` and `name=number`, read; those of level 0 are left out.
+    """Parse the requests `name:level` and `name=number`; those of level 0 are left out.
 
     EnvError names what the world has, where it does not have one of them.
     """
@@ -436,7 +436,7 @@ def make_disturbed(
 
 
 def _default(entry: EnvSpec, option: str) -> Any:  # noqa: ANN401
-    """Default of an option of the class, or of the class above that has it."""
+    """Return the default of an option of the class or of its nearest base that has it."""
     module, _, name = entry.target.partition(":")
     for each in getattr(import_module(module), name).__mro__:
         parameter = inspect.signature(each.__init__).parameters.get(option)

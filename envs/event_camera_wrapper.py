@@ -161,7 +161,7 @@ class EventCameraWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         found.append(self._seen.process(picture, (self._steps + n / self._frames) * self._dt))
 
     def _picture(self) -> Float32:
-        """Logarithms (H, W) of what is seen now."""
+        """Return the logarithms (H, W) of the current picture."""
         shown: Any = self.env.render()
         if not (isinstance(shown, np.ndarray) and shown.ndim == 3 and shown.shape[2] >= 3):
             found = getattr(shown, "shape", type(shown).__name__)

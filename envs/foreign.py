@@ -71,7 +71,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
     given: options that make it again
     one_hot: whether it observes one of several
     CONTROL_DT: time of a control step [s]; None where it is not known
-    remark: on what it said of success that is neither true nor false; "" where nothing was
+    remark: on values of success that are neither true nor false; "" without any
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         return self._seen(found), reward, *ends, self._with_success(info, over)
 
     def render(self) -> Any:  # noqa: ANN401
-        """The environment's picture; EnvError where what it draws with is not there."""
+        """The environment's picture; EnvError where its renderer is not available."""
         if hasattr(self.inner.unwrapped, "mujoco_renderer"):
             drawing.check_variable()
         try:
@@ -157,7 +157,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         return self._from_inner(f"{self.name}: observation of step {self._steps}", observation)
 
     def _with_success(self, info: Mapping[str, Any], over: bool) -> dict[str, Any]:
-        """Return its numbers, with success so far by the key that was named or the threshold.
+        """Return the numbers of an info, with success so far by the named key or the threshold.
 
         Else `success` is the environment's own; `is_success` is the word of gymnasium-robotics and
         Stable-Baselines3 for it, and stands there as `success` alone.
@@ -196,7 +196,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
 
 @contextmanager
 def contained(name: str, doing: str) -> Iterator[None]:
-    """Code of other people: its prints go to stderr, and a sys.exit of it is an EnvError."""
+    """Run foreign code in this block: prints go to stderr, a sys.exit becomes an EnvError."""
     try:
         with redirect_stdout(sys.stderr):
             yield
@@ -229,7 +229,7 @@ def _is_of_old_api(error: TypeError | ValueError) -> bool:
 def _observation_map(
     name: str, space: gymnasium.Space[Any]
 ) -> tuple[Box, Callable[[str, Any], FloatArray]]:
-    """The space of observations (obs,), and the map into it of what is called so and a value."""
+    """Return the space of observations (obs,), and the map of a named value into it."""
     if isinstance(space, Discrete):
         _check_choices(name, "observes", space)
         return Box(0.0, 1.0, (int(space.n),), np.float64), partial(_one_hot, space)
@@ -249,7 +249,7 @@ def _observation_map(
 
 
 def _one_hot(space: Discrete, what: str, value: object) -> FloatArray:
-    """One of several levels, as (n,)."""
+    """Return a choice among n levels as a one-hot vector (n,)."""
     place, count = read_number(what, value) - int(space.start), int(space.n)
     if place % 1 or not 0 <= place < count:
         last = int(space.start) + count - 1

@@ -1,4 +1,4 @@
-"""Whether an environment of other people plays the same episode again from the same seed.
+"""A check that a foreign environment repeats an episode when its seed is repeated.
 
 Policies are compared on the same seeds, in as many processes as there are. Where an environment
 carries something from one episode to the next, an episode depends on those that its process played
@@ -25,9 +25,9 @@ _Step = dict[str, Any]
 def check_repeats(name: str, options: Mapping[str, Any]) -> str:
     """Refuse an environment with a memory; return a remark on one that never repeats, else "".
 
-    What it says of success that is neither true nor false is in the remark, too.
+    Values of success that are neither true nor false are in the remark, too.
 
-    What shows only later than in 20 episodes is not found. Those of ours are known to repeat.
+    A difference that appears after 20 episodes is not found. Our own environments do repeat.
     """
     if not envs.spec(name).foreign:
         return ""
@@ -61,7 +61,7 @@ def check_repeats(name: str, options: Mapping[str, Any]) -> str:
 
 
 def _play(env: gymnasium.Env[Any, Any], seed: int, most: int) -> list[_Step]:
-    """What is seen of an episode of random actions, drawn from its seed."""
+    """Return everything observed in an episode of random actions, drawn from its seed."""
     rng, space = np.random.default_rng(seed), env.action_space
     seen: list[_Step] = [{"observation": env.reset(seed=seed)[0]}]
     over = False

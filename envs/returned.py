@@ -1,7 +1,7 @@
-"""What `reset` and `step` of other people's environments return: numbers, or a sentence.
+"""Values that `reset` and `step` of foreign environments return, read as numbers or refused.
 
-They may be Python's or NumPy's, arrays, lists or tensors. Nothing is guessed: what is no number is
-refused with what was found.
+They may be Python's or NumPy's, arrays, lists or tensors. Nothing is guessed: anything but a number
+is refused, and the error shows it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def find_flag(value: object) -> bool | None:
 
 
 def is_unknown(value: object) -> bool:
-    """Return whether a value says that there is none yet: None, NaN, or a masked one."""
+    """Return True for a value that stands for none: None, NaN, or a masked one."""
     found = _single(value)
     return value is None or is_masked(value) or (found is not None and found != found)
 
@@ -69,7 +69,7 @@ def read_vector(what: str, value: object, shape: tuple[int, ...]) -> FloatArray:
 
 
 def is_masked(value: object) -> bool:
-    """Return whether any of it is masked, of which NumPy would give what is behind the mask."""
+    """Return True if any value is masked: NumPy would return the number behind the mask."""
     if isinstance(value, list | tuple):
         return any(map(is_masked, value))
     return isinstance(value, np.ma.MaskedArray) and bool(np.ma.getmaskarray(value).any())

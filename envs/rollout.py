@@ -71,14 +71,14 @@ class Rollout:
 
     @property
     def success(self) -> bool | None:
-        """Success by the last step's info; None where it does not say."""
+        """Success by the last step's info; None where the info has no such entry."""
         return bool(self.info["success"][-1]) if "success" in self.info else None
 
     @property
     def failed(self) -> bool | None:
-        """Whether a terminal state other than success ended it: a fall, a crash, being lost.
+        """True where a terminal state other than success ended it: a fall, a crash, being lost.
 
-        None where the environment does not say what success is. An episode that runs to its time
+        None where the environment does not define success. An episode that runs to its time
         limit without success is neither.
         """
         return None if self.success is None else self.terminated and not self.success

@@ -8,7 +8,7 @@ spiking_onnx  a spiking policy as one step in ONNX, states in and out
 parity        a written file against its policy: NIR spike by spike, ONNX action by action
 check         a line of a parity report, and its counters
 to_program    a compiled program as plain files, and what is expected of a chip; takes no torch
-kit/          beside it: scripts for the chips' tools, copied as they are, and imported by nothing
+kit/          scripts for the chips' tools, copied as they are, and imported by nothing
 to_xylo       a compiled program as a specification for Rockpool
 c/            a compiled program as C99 for microcontrollers; takes no torch
 verilog/      a compiled program as Verilog for FPGAs, likewise

@@ -1,4 +1,4 @@
-"""What an export returns, and its checks: what was compared, on which spikes."""
+"""Results of an export, and the checks of a written file against its policy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,9 +34,9 @@ class Exported:
     path: of it.
     files: names of the files in a folder; of a file alone, none.
     checks: comparisons with the policy.
-    facts: what there is to know of it, as data.
+    facts: properties of the export, as data.
     lines: for a terminal.
-    remarks: what whoever opens it has to know.
+    remarks: notes for users of the file.
     """
 
     path: Path
@@ -52,14 +52,14 @@ class Exported:
         return all(each.passed for each in self.checks)
 
     def require_passed(self, policy: str, remedy: str = "") -> "Exported":
-        """Return it; ConfigError where the file does not do what the policy does."""
+        """Return the export; ConfigError where the file does not compute what the policy does."""
         if failed := [check for check in self.checks if not check.passed]:
             said = f"{failed[0].name}, {failed[0].detail}{remedy}"
             raise ConfigError(f"{self.path} does not do what {policy} does: {said}")
         return self
 
     def record(self) -> dict[str, Any]:
-        """All of it as data."""
+        """Everything as plain data."""
         found: dict[str, Any] = {"path": str(self.path)}
         if self.files:
             found["files"] = list(self.files)

@@ -88,7 +88,7 @@ def check(policy: Policy, path: str | Path, observations: ArrayLike) -> list[Par
 
 @dataclass(frozen=True)
 class _Behaviour:
-    """What one implementation does.
+    """Spikes and actions of one implementation.
 
     spikes: (B, T, N) of the input and of each layer.
     actions: (B, act); scores where one of several is chosen.
@@ -153,7 +153,7 @@ def _nir_checks(policy: Any, path: Path, observations: Numbers) -> list[ParityCh
 
 @torch.no_grad()
 def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _Behaviour:
-    """Return what a policy in torch does in the control steps (S, obs) of an episode."""
+    """Return the behaviour of a policy in torch in the control steps (S, obs) of an episode."""
     state = policy.rest(1)
     rows = [policy.advance(observation[None], state) for observation in observations]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))

@@ -320,7 +320,7 @@ def host_record(program: Program, codec: Codec | None, run: ChipRun) -> dict[str
 
 
 def host_terms(program: Program) -> dict[str, Any]:
-    """What the host adds up in its order, as Decoder of host_codec.py reads it.
+    """Return the terms that the host adds up, in order, as Decoder of host_codec.py reads them.
 
     An output starts with `bias`, and each term adds (its layer's numbers `lag` timesteps ago, times
     `scale` where there is one) @ `weight` from element `first` on. `plain`: spikes of one layer
@@ -407,7 +407,7 @@ def _place(mapping: CoreMapping) -> Iterator[dict[str, Any]]:
 
 
 def plain_record(record: object) -> Any:  # noqa: ANN401
-    """A metadata tree as JSON has it: arrays as lists, infinity as null."""
+    """Convert a metadata tree to JSON types: arrays become lists, infinity null."""
     if isinstance(record, Mapping):
         return {name: plain_record(value) for name, value in record.items()}
     if isinstance(record, np.ndarray | np.generic):
@@ -418,6 +418,6 @@ def plain_record(record: object) -> Any:  # noqa: ANN401
 
 
 def as_rows(record: Mapping[str, Any]) -> str:
-    """JSON in which each list of numbers stands on one line."""
+    """Return JSON with each list of numbers on one line."""
     text = json.dumps(record, indent=1, allow_nan=False)
     return re.sub(r"\[[\s\d.,e+\-]*\]", lambda found: "".join(found[0].split()), text) + "\n"

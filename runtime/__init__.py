@@ -1,6 +1,6 @@
 """Neuromorphic chips in software: read a `.nir` file, compile it, emulate it, count what it costs.
 
-Needs numpy, nir and h5py alone; numba is optional. EXPORTS is the public interface; a name is
+Only numpy, nir and h5py are required; numba is optional. EXPORTS is the public interface; a name is
 imported when it is first used, so that importing this package loads nothing heavy.
 
 errors           the errors that every package may raise
@@ -9,7 +9,7 @@ schema           data from files, checked
 requests         requests such as noise:2 or payload=0.4
 requirements     packages that are needed, and the sentence for one that is missing
 camera_events    events of cameras, and the file they are recorded to
-copies           copies of what holds states
+copies           copies of objects with states
 metadata         metadata of a `.nir` file, and the provenance of a policy
 convention       dt, reset, integrator, delay: what NIR leaves open
 graph/           the NIR graph: neurons, order, shapes, validation

@@ -98,7 +98,7 @@ def write_events(path: Path, size: tuple[int, int], remark: str = "") -> Iterato
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a file that exists is a recording of `write_events`."""
+    """Return True if an existing file is a recording of `write_events`."""
     import h5py
 
     try:

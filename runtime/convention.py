@@ -84,12 +84,12 @@ class Convention(Stored):
             )
 
     def unknown(self, name: str, found: object, known: tuple[object, ...]) -> Exception:
-        """The error of an option that has no such choice."""
+        """Return the error for a value that an option does not have."""
         choices = ", ".join(map(repr, known))
         return ConventionError(f"{name} {found!r} is unknown. Choose one of {choices}.")
 
     def describe(self) -> str:
-        """One line for reports: every choice, and where it comes from."""
+        """Describe every choice and its source in one line, for reports."""
         stored = {**self.to_record(), "clock": self.clock}
         optional = (name for name in ("spikes", "floor", "clock") if name in stored)
         more = "".join(f", {name}={stored[name]}" for name in optional)
@@ -99,7 +99,7 @@ class Convention(Stored):
         )
 
     def with_options(self, options: Mapping[str, Any]) -> "Convention":
-        """The same convention except for these options; `source` names them."""
+        """Return the convention with these options replaced; `source` names them."""
         if not options:
             return self
         names = ", ".join(sorted(options))

@@ -1,7 +1,7 @@
-"""Copies of what holds states: each acts as the original would, and none acts on another.
+"""Copies of objects with states: a copy acts as the original would, and shares nothing with it.
 
-By copy.copy, copy.deepcopy and pickle alike. What Python's default would take apart is made anew
-from what it was made of and its states, as a Machine makes its backends, or refused.
+This holds for copy.copy, copy.deepcopy and pickle. Parts that Python's default would copy wrongly
+are built again from their arguments and states, as a Machine does its backends, or refused.
 """
 
 from copy import deepcopy
@@ -13,7 +13,7 @@ AnyCopied = TypeVar("AnyCopied", bound="Copied")
 
 
 class Uncopied:
-    """What cannot be copied exactly, and refuses with ConfigError.
+    """Base of objects that cannot be copied exactly: a copy raises ConfigError.
 
     instead: what to do, a sentence.
     """
@@ -28,7 +28,7 @@ class Uncopied:
 
 
 class Copied:
-    """What shares nothing that changes with a copy of it, a shallow one included."""
+    """Base of objects that share no changing part with any copy, even a shallow one."""
 
     # also where a base refuses
     __reduce_ex__ = object.__reduce_ex__

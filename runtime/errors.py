@@ -1,7 +1,7 @@
 """The errors that every package may raise.
 
-A message names what, what was found, the limit, and the remedy. The command line prints it without
-a traceback and exits with 2. Any other exception is a bug.
+A message names the layer or option, the value found, the limit, and the remedy. The command line
+prints it without a traceback and exits with 2. Any other exception is a bug.
 """
 
 

@@ -216,7 +216,7 @@ def _largest(steps: Integers, bits: int, signed: bool, rng: np.random.Generator)
 
 
 def _flip_bits(steps: Integers, bits: int, signed: bool, rng: np.random.Generator) -> Integers:
-    """One bit of each flipped, drawn; of the magnitude alone where something else has the sign."""
+    """Flip one random bit of each number; of the magnitude only, where the sign is elsewhere."""
     bit = np.int64(1) << rng.integers(bits, size=steps.shape)
     if not signed:
         return np.asarray(np.sign(steps) * (np.abs(steps) ^ bit))

@@ -65,7 +65,7 @@ def _sweep(target: Path) -> None:
 
 
 def _prefix(target: Path) -> str:
-    """What temporary files of a target begin with, of processes of this machine.
+    """Return the prefix of temporary files of a target that processes of this machine write.
 
     Of the processes of another nothing is known here.
     """
@@ -155,7 +155,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def locked(path: Path, busy: str = "") -> Iterator[None]:
     """Hold the lock of a file within the block; the kernel releases it when its process ends.
 
-    busy  message of the ConfigError where another process holds it, which is named; "" waits
+    busy: message of the ConfigError where another process holds it, which is named; "" waits
     """
     from filelock import FileLock, Timeout  # lazily: most commands lock nothing
 

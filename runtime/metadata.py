@@ -150,7 +150,7 @@ class Stored:
         )
 
     def astype(self: _S, dtype: DTypeLike) -> _S:
-        """The same object computing in another float type."""
+        """Return the object with arrays of another float type."""
         kinds = (np.ndarray, Stored)
         arrays = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
         return replace(self, **{name: value.astype(dtype) for name, value in arrays.items()})

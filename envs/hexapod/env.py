@@ -474,11 +474,11 @@ class HexapodEnv(gymnasium.Env[FloatArray, FloatArray]):
         return filtered
 
     def _marks(self) -> Iterable[Mark]:
-        """What is drawn on the ground."""
+        """Return the marks that are drawn on the ground."""
         return ()
 
     def _further(self, motion: Motion) -> tuple[FloatArray, ...]:
-        """The task's own sensors, behind the numbers of the robot."""
+        """Return the task's own sensor readings, which follow those of the robot."""
         return ()
 
     def _begin(self) -> None:

@@ -40,7 +40,7 @@ class ClassicLimits:
 
 
 class _StallRule:
-    """Tells a kart that has stalled.
+    """Detect a stalled kart.
 
     Its remaining path [px] has not become 20 px shorter within 2 s; by kart-simulator's limits it
     stood still or moved away from the gate for too long.
@@ -134,7 +134,7 @@ class ClassicReward:
 
     pace: divisor of exp(v / 100) in the progress term
     backward: factor of negative progress
-    progress, steer, gate, crash weights
+    progress, steer, gate, crash: weights
     finish: weight, the same in all environments
     """
 
@@ -215,7 +215,7 @@ class KartEnv(gymnasium.Env[FloatArray, Any]):
     start: "random" within the track's spread and headings, or "fixed" at their centre
     grip: [1] share of a change of velocity that the tyres pass on in a control step
     power: [1] factor on what the motor does: push, speed or acceleration
-    render_mode "rgb_array" or None
+    render_mode: "rgb_array" or None
 
     An episode ends at the last gate (terminated, a success), at a wall (terminated), when the
     remaining path has not become 20 px shorter within 2 s (terminated: standing still and driving

@@ -250,7 +250,7 @@ def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
 
 @lru_cache(maxsize=64)
 def _large(colour: Colour) -> pygame.Surface:
-    """A kart facing right, at FINE times its true size."""
+    """Draw a kart facing right, at FINE times its true size."""
     side = round(2 * RADIUS * _KART_FINE)
     surface = pygame.Surface((side, side), pygame.SRCALPHA)
     pygame.draw.aacircle(surface, (*colour, 56), (side / 2, side / 2), side / 2 - 1)

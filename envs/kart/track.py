@@ -385,7 +385,7 @@ def _lines(value: object, where: str) -> tuple[FloatArray, ...]:
 
 
 def _points(value: object, where: str) -> FloatArray:
-    """At least two points (n, 2), no two consecutive ones equal."""
+    """Read at least two points (n, 2), no two consecutive ones equal."""
     points = _numbers(value, (None, 2), where)
     if len(points) < 2:
         raise EnvError(f"{where}: {len(points)} point; a line needs two")

@@ -301,7 +301,7 @@ class Plan:
 
     @property
     def terms(self) -> tuple[OutputTerm, ...]:
-        """All that the host receives, of one Output after another."""
+        """Terms of the output, one Output node after another."""
         return self.program.output_terms
 
     @cached_property
@@ -311,7 +311,7 @@ class Plan:
 
     @cached_property
     def taps(self) -> list["Tap"]:
-        """All that the host adds up to scores."""
+        """Parts of layers that the host adds up to scores."""
         found, first = [], 0
         for node in self.program.output_nodes:
             found += [self._plan_tap(term, first) for term in node.terms]
@@ -389,7 +389,7 @@ class Plan:
 
 
 def _changes(register: Register, most: int | None) -> bool:
-    """True where a register changes some numbers, of this magnitude at most."""
+    """Return True if a register changes some number of at most this magnitude."""
     if register.between is not None:
         return True
     below = most is not None and most < 1 << (register.bits - 1)

@@ -203,7 +203,7 @@ def environment(name):
     low, high = np.array(space.low, float), np.array(space.high, float)
 
     def scaled(action):
-        """From [-1, 1] to the bounds."""
+        """Map actions from [-1, 1] to the bounds."""
         share = (np.clip(action, -1.0, 1.0).reshape(low.shape) + 1.0) / 2.0
         return (low + share * (high - low)).astype(space.dtype)
 

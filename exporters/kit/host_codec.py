@@ -118,7 +118,7 @@ def _next_states(x):
 
 
 class Decoder:
-    """What leaves a chip to actions.
+    """Map the output of a chip to actions.
 
     record: with codec, bias and terms of the outputs.
     """

@@ -47,7 +47,7 @@ class XylosimChip:
         spec, self.first = specification(program)
 
         def listed(matrix):
-            """Of each presynaptic neuron the synapses that are not 0."""
+            """Return the non-zero synapses of each presynaptic neuron."""
             matrix = matrix.reshape(*matrix.shape[:2], -1)
             return [[XyloSynapse(int(n), int(k), int(row[n, k])) for n, k in np.argwhere(row)]
                     for row in matrix]  # fmt: skip
@@ -141,7 +141,7 @@ class XyloBoard:
         self.board.reset_state()
 
     def stop(self):
-        """Nothing to let go of: samna closes the dev kit as the script ends."""
+        """Do nothing: samna closes the dev kit when the script ends."""
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ _PROGRAMMERS = {
 
 
 def costs_record(image: CoreImage, board: Board, use: Use, recorded: Recorded) -> dict[str, Any]:
-    """What the core takes on the board: cells as predicted, and time; builds are put beside it."""
+    """Return the predicted cells and time of the core on the board; builds add their results."""
     clocks, tokens = recorded.clocks.tolist(), recorded.tokens
     # a request and a reply have 5 bytes beside tokens and words, and a byte has 10 bits on the line
     line = [10 * (10 + 2 * len(step) + 4 * image.words) / board.baud for step in tokens]
@@ -118,7 +118,7 @@ def costs_record(image: CoreImage, board: Board, use: Use, recorded: Recorded) -
 def host_record(
     program: Program, codec: Codec, image: CoreImage, board: Board, origin: str
 ) -> dict[str, Any]:
-    """What host.py has to know: the codec, the words, and what becomes of them."""
+    """Return the record that host.py reads: the codec, the words, and their use."""
     buffer = Buffer(image.words)
     return {
         "format": MARK,

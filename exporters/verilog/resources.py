@@ -83,7 +83,7 @@ class Place:
 
     @property
     def cost(self) -> float:
-        """What Yosys makes least."""
+        """Cost by which Yosys chooses: the lowest wins."""
         return self.rams + _MULTIPLEXER_COST * self.multiplexers
 
 
@@ -102,7 +102,7 @@ class CoreMemory:
     constant: bool
 
     def place(self, device: Device) -> "Place":
-        """Where Yosys puts it."""
+        """Memory to which Yosys maps it."""
         family, found = _FAMILIES[device.family], []
         for words, bits in family["shapes"]:
             # words that are this far apart stand side by side, and share RAMs
@@ -153,7 +153,7 @@ def _varying_bits(words: Sequence[int]) -> int:
 
 @dataclass(frozen=True)
 class Use:
-    """What a design takes of an FPGA.
+    """Resources of an FPGA that a design takes.
 
     board: with the FPGA.
     cells, block_rams, large_rams, multipliers: of it.
@@ -170,7 +170,7 @@ class Use:
     buffer_in_large_ram: bool = False
 
     def rows(self) -> Iterator[tuple[str, int, int]]:
-        """What there is, how many the design takes, and how many the FPGA has."""
+        """Rows of resource, count in the design, and count in the FPGA."""
         device = self.board.device
         yield "cells", self.cells, device.cells
         yield f"block RAMs of {device.block_bits} bits", self.block_rams, device.block_rams
@@ -180,7 +180,7 @@ class Use:
 
     @property
     def full(self) -> tuple[str, ...]:
-        """What the FPGA has too few of."""
+        """Resources of which the FPGA has too few."""
         return tuple(name for name, taken, there in self.rows() if taken > there)
 
     @property
@@ -200,7 +200,7 @@ class Use:
                 )
 
     def lines(self) -> tuple[str, ...]:
-        """The same for a terminal."""
+        """Return the resources as lines for a terminal."""
         return tuple(
             f"{name:<26} {taken:>7,} of {there:,}"
             + (f" ({taken / there:.0%})" if there else "")
@@ -211,13 +211,13 @@ class Use:
 
     @staticmethod
     def _remark(name: str, taken: int, there: int) -> str:
-        """What a line says of a number that is too large, or perhaps."""
+        """Return the remark of a line on a number that is, or may be, too large."""
         if taken > there:
             return ", too few"
         return ", may not fit" if name == "cells" and taken > _CLOSE * there else ""
 
     def record(self) -> dict[str, Any]:
-        """The same as data."""
+        """Return the resources as plain data."""
         return {
             "cells": self.cells,
             "block_rams": self.block_rams,
@@ -228,7 +228,7 @@ class Use:
 
 
 def predict(image: CoreImage, board: Board) -> Use:
-    """What a core with its link takes on a board."""
+    """Predict the resources that a core with its link takes on a board."""
     device = board.device
     placed = {each: each.place(device) for each in memories_of(image)}
     blocks = {m.name: place.count for m, place in placed.items() if place.kind == "blocks"}

@@ -58,7 +58,7 @@ class RtlProcess:
         """End the process, also one that ended by itself or does not end."""
         process = self._process
         for pipe in (process.stdin, process.stdout):
-            with suppress(BrokenPipeError):  # of bytes that nobody reads any more
+            with suppress(BrokenPipeError):  # bytes are left that nothing reads
                 if pipe is not None:
                     pipe.close()
         try:

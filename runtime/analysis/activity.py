@@ -47,7 +47,7 @@ class Activity:
     filled: Mapping[str, float] = field(default_factory=dict)
 
     def split(self, batch: int) -> "Activity":
-        """The same with its timesteps as B inferences, one after another."""
+        """Return the activity with its timesteps split into B successive inferences."""
 
         def part(rows: NDArray[Any]) -> NDArray[Any]:
             return rows.reshape(batch, -1, rows.shape[2])

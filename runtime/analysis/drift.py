@@ -48,7 +48,7 @@ class _LayerDrift:
     float_rate, chip_rate: spikes for each neuron and timestep.
     differing: part of neuron-timesteps in which the number of spikes differs.
     distance: of van Rossum, mean over inferences and neurons; a spike too many is 1/2.
-    lost, woken: neurons that spike in float and never on the chip, and the other way round.
+    lost, woken: neurons that spike in float but never on the chip, and vice versa.
     saturations: numbers that did not fit a register.
     first: (inference, timestep, neuron) of the first difference, or None.
     filled: largest part of its register that a current took; None where that is not known.
@@ -126,7 +126,7 @@ class Divergence:
     chip_threshold: float
 
     def describe(self) -> str:
-        """The same in words."""
+        """Describe the divergence in words."""
         membranes = [
             "not known before its reset" if np.isnan(membrane) else f"{membrane:.6g}"
             for membrane in (self.chip_membrane, self.float_membrane)
@@ -173,7 +173,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Drift:
-    """A chip against the float twin on a raster.
+    """Comparison of a chip with the float twin on a raster.
 
     chip: its name.
     quantisation: in words.

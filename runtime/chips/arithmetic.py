@@ -1,7 +1,7 @@
 """The arithmetic of a chip: everything in which the numbers of one chip differ from another's.
 
-The compiler, the emulator, the design rules and the analysis ask these questions and no others, so
-a new family of chips is a class that answers them.
+The compiler, the emulator, the design rules and the analysis use this interface and no other, so a
+new family of chips is a class that implements it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ class Description(NamedTuple):
 
 
 class ArithmeticDefaults(Protocol):
-    """Answers of an arithmetic unless its family has others; families inherit from it."""
+    """Defaults of an arithmetic, from which families inherit."""
 
     @property
     def backends(self) -> Mapping[str, str]:
@@ -162,7 +162,7 @@ class ArithmeticDefaults(Protocol):
 
     @property
     def spikes_at_threshold(self) -> bool:
-        """True where a neuron spikes at its threshold, and not only above it."""
+        """True where a membrane equal to the threshold spikes, not only one above it."""
         return False
 
     @property
@@ -176,7 +176,7 @@ class ArithmeticDefaults(Protocol):
         return 1
 
     def with_one_list(self) -> "Arithmetic | None":
-        """Return it with weights of both signs in one list; None where that is no choice."""
+        """Return it with weights of both signs in one list; None without that choice."""
         return None
 
     # what the analysis and the measures ask
@@ -224,7 +224,7 @@ class ArithmeticDefaults(Protocol):
 
 
 class Arithmetic(ArithmeticDefaults, Protocol):
-    """Everything that an arithmetic answers, what every family must say for itself included.
+    """The full interface of an arithmetic, including what every family must define itself.
 
     It is a frozen dataclass, whose fields are options of the chip.
     """

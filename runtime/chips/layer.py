@@ -214,7 +214,7 @@ class Network(Protocol):
 
     @property
     def layers(self) -> tuple[Layer, ...]:
-        """In an order in which each comes after its sources without a delay."""
+        """Layers in an order in which each follows its sources without a delay."""
 
     @property
     def output(self) -> str:
@@ -262,8 +262,8 @@ class StepResult:
 
     spikes: (B, N); counts where neurons spike several times in a timestep, signed numbers of
         sigma-delta neurons.
-    active: (B, N) where there was a membrane, a current or a bias to add up; how many events were
-        heard where a chip goes by events.
+    active: (B, N) where there was a membrane, a current or a bias to add up; the number of events
+        that arrived, on a chip that works event by event.
     overflows: (B, N) how many numbers did not fit their register.
     lost: (B, N) spikes that reach no neuron, because a queue was full; None where there is none.
     """

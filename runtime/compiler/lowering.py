@@ -74,7 +74,7 @@ class Projection:
 
 
 def _join(ways: Sequence[Projection]) -> Projection:
-    """Several ways from one source as one, with the most synapses that they can come to."""
+    """Merge paths from one source into one, with the most synapses that they can have."""
     first, *others = ways
     if not others:
         return first
@@ -94,7 +94,7 @@ def _join(ways: Sequence[Projection]) -> Projection:
 
 
 def _extend(way: Projection, name: str, node: nir.NIRNode) -> Projection:
-    """The way with one more node."""
+    """Return the path with one more node."""
     way = replace(way, way=way.way if way.way is None else (*way.way, name))
     if isinstance(node, nir.Delay):
         return replace(way, delayed=way.delayed or bool(node.delay.any()))
@@ -126,7 +126,7 @@ def _extend(way: Projection, name: str, node: nir.NIRNode) -> Projection:
 
 
 def _fans(name: str, node: nir.NIRNode) -> tuple[Counts, Counts, Floats | None]:
-    """Of one map: `out`, `into` and `weight`, as in Projection."""
+    """Return `out`, `into` and `weight` of one map, as in Projection."""
     if not isinstance(node, DENSE):
         window = window_of_map(name, node)
         # zeros of a kernel are synapses
@@ -201,7 +201,7 @@ class Population:
 
     @cached_property
     def synapses(self) -> int:
-        """All that reach it."""
+        """Number of synapses onto it."""
         return sum(int(projection.into.sum()) for projection in self.presynaptic)
 
     @property

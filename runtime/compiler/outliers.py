@@ -60,7 +60,7 @@ def outlier_remarks(
         def better(
             layer: Layer, chosen: Quantisation = quantisation, at: int = place, was: float = coarse
         ) -> bool:
-            """Whether weights lose much less in a layer in the place of this one."""
+            """Return True if the weights of another layer lose much less than those of this one."""
             tried = [*before[:at], layer, *before[at + 1 :]]
             try:
                 rounded = quantise(tried, chosen)[at]

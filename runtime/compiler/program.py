@@ -280,7 +280,7 @@ class Program:
 
     @property
     def output_terms(self) -> tuple[OutputTerm, ...]:
-        """Everything that the output adds up."""
+        """Terms of all outputs."""
         return tuple(term for node in self.output_nodes for term in node.terms)
 
     @property

@@ -117,7 +117,7 @@ class RuleResult:
         return self.status == "fail"
 
     def describe(self, chip: str) -> str:
-        """One line on a failure: the rule, the node, what was found, the limit, the remedy."""
+        """Describe a failure in one line: rule, node, found value, limit, remedy."""
         where = "the network" if self.node is None else f"node {self.node!r}"
         if self.limit is None:
             found = format_value(self.found).rstrip(".")
@@ -132,7 +132,7 @@ class RuleResult:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """All of it, for machines."""
+        """Return all fields as plain data."""
         return {**vars(self), "remedy": self.remedy if self.failed else ""}
 
 
@@ -192,7 +192,7 @@ _NO_LEAK = (
 
 
 def _leaks_in_vain(design: PlacedNetwork, name: str | None = None) -> bool:
-    """True where a neuron, or that of this name, leaks or has a current, as none of the chip's."""
+    """Return True if a neuron, or the named one, has a leak or current that the chip lacks."""
     kinds, nodes = design.limits.primitives, design.artifact.graph.nodes
     has_none = "IF" in kinds and not {"LIF", "CubaLIF"} & {*kinds}
     found = nodes.values() if name is None else [nodes[name]]
@@ -354,7 +354,7 @@ def _by(*extents: int) -> str:
 
 
 def _axon_signs(design: PlacedNetwork) -> Results:
-    """Sources excite all that they reach, or inhibit all, where a chip keeps signs by source."""
+    """Sources excite all their targets or inhibit all, where a chip stores signs by source."""
     remedy = (
         "Train with weights of one sign for each source, a column of Linear.weight in snnTorch; or "
         "double each source: one neuron with the positive weights, one with the negative."

@@ -346,8 +346,8 @@ class _Weights:
 def weights_of(chain: Chain, source: Shape) -> tuple[Floats, Window | None] | None:
     """The weights of a chain, with their window if they are a kernel; None if it has none such.
 
-    chain: names and nodes from the source to the target, which are none of it.
-    source: shape of what it takes.
+    chain: names and nodes between the source and the target, both excluded.
+    source: shape of its input.
     """
     head, rest = _read_head(chain, source)
     if head is None:
@@ -362,7 +362,7 @@ def weights_of(chain: Chain, source: Shape) -> tuple[Floats, Window | None] | No
 
 
 class _Head(NamedTuple):
-    """What a chain does before its map.
+    """Operations of a chain before its map.
 
     source, maps: shapes in front of the pool and behind it.
     pool: by which coordinates are divided.

@@ -1,4 +1,4 @@
-"""snnTorch: how it reads a NIR file, what it means by one that it wrote, and what it can be given.
+"""snnTorch: how it reads a NIR file, what it means by one that it wrote, and what it accepts.
 
 Its export was compared with the tool itself.
 """
@@ -107,7 +107,7 @@ def _finite(node: nir.NIRNode) -> nir.NIRNode:
 
 
 def _wires(nodes: Nodes, edges: Edges, convention: Convention) -> Convention:
-    """What the options mean for these nodes, some of which are replaced."""
+    """Apply the options to these nodes, some of which are replaced."""
     loops = _recurrent(nodes, edges)
     recurrent = {name for name in loops if isinstance(nodes[name], nir.CubaLIF)}
     current_based = {name for name, node in nodes.items() if isinstance(node, nir.CubaLIF)}

@@ -27,7 +27,7 @@ Spikes = NDArray[np.integer[Any]]
 
 @dataclass(frozen=True, eq=False)
 class LayerTrace(Recording):
-    """Everything that a layer did in its window, after each timestep, resets included.
+    """States and spikes of a layer after each timestep of its window, resets included.
 
     active: (B, T, N) as in StepResult.
     overflows: (B, T, N) as in StepResult.
@@ -40,7 +40,7 @@ class LayerTrace(Recording):
 
 
 def trace(program: Program, raster: NDArray[np.uint8]) -> dict[str, LayerTrace]:
-    """Everything that every layer does in its window with the raster (B, T, M), from zero."""
+    """Return the trace of every layer in its window for the raster (B, T, M), from zero states."""
     rows = program.rows(raster.shape[1])
     filled = np.pad(raster, ((0, 0), (0, rows - raster.shape[1]), (0, 0)))
     found = Interpreter(program, raster.shape[0]).run(filled)
@@ -71,7 +71,7 @@ class Interpreter:
     def run(
         self, raster: NDArray[np.uint8], waiting: Collection[str] = ()
     ) -> dict[str, LayerTrace]:
-        """One inference; states go on from the one before.
+        """Run one inference; states continue from the previous one.
 
         raster: (B, T, M), where layers run free with the rows behind the input's last.
         waiting: names of layers that are held meanwhile.
@@ -293,7 +293,7 @@ class InterpreterBackend:
 
     @staticmethod
     def obstacle(program: Program) -> str | None:
-        """Supports every arithmetic."""
+        """Return None: every arithmetic is supported."""
         return None
 
     def reset(self) -> None:

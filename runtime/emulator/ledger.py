@@ -220,7 +220,7 @@ class LedgerBuilder(Copied):
         self._counter: _Counter | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything, counted: what waits to be counted belongs to a counter in other memory."""
+        """Return the state with all pending events counted, as their counter shares memory."""
         self._count()
         return {**vars(self), "_counter": None}
 
@@ -230,7 +230,7 @@ class LedgerBuilder(Copied):
         return self.rows != "none"
 
     def observe(self, counter: _Counter, observation: Any) -> None:  # noqa: ANN401
-        """Take what a counter needs of one inference, or step, of each of a batch."""
+        """Record what a counter needs of one inference, or step, of a batch."""
         if counter is not self._counter:
             self._count()
             self._counter = counter
@@ -239,12 +239,12 @@ class LedgerBuilder(Copied):
             self._count()
 
     def add(self, counts: Counts, timesteps: int, steps: int) -> None:
-        """Take counts (B, L, E) of a window of so many timesteps of a layer, and of the chip."""
+        """Add counts (B, L, E) of a window of so many timesteps of a layer, and of the chip."""
         self._count()
         self._append(counts, len(counts), timesteps, steps)
 
     def ledger(self) -> Ledger:
-        """Everything recorded so far."""
+        """The ledger of everything recorded so far."""
         self._count()
         return Ledger(
             layers=tuple(layer.name for layer in self._program.layers),

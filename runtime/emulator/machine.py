@@ -1,4 +1,4 @@
-"""A chip with a program on it, running; and the host, which makes an output of what leaves it."""
+"""A chip that runs a program, and the host, which computes an output from what leaves it."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -33,7 +33,7 @@ CHUNK = 64
 
 
 class Machine(Copied):
-    """A running chip: spikes in; out comes what the readout makes of them, or spikes.
+    """A running chip: spikes in, output of the readout or spikes out.
 
     Use `infer` for whole inferences, or `step` for one chip timestep after another. Copies go on
     from where the machine is; of one whose backend a function makes there are none.
@@ -79,7 +79,7 @@ class Machine(Copied):
         self._sent: Mapping[str, NDArray[Any]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the backends, whose arrays are views of one memory: instead their states.
+        """Return the state with the backends' states in place of the backends, which hold views.
 
         Raises ConfigError where a function makes them, which may share something between them.
         """

@@ -98,12 +98,12 @@ class FloatMachine(Copied):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks: none, as it computes what the file says."""
+        """Deviations from the file: none."""
         return ()
 
     @property
     def recordings(self) -> Mapping[str, Recording]:
-        """Of the program without rounding, which runs the last raster once more from zero."""
+        """Recordings of the program without rounding, which reruns the last raster from zero."""
         if self._stateless is not None:
             raise self._stateless
         raster = self.program.joined(self._input)

@@ -131,7 +131,7 @@ def _decay(dash: Array, states: Array) -> None:
 
 @frame.jit
 def _loss(whole: Any, x: Number, dash: Number) -> Number:  # noqa: ANN401
-    """As shift_decay of runtime.chips.registers."""
+    """Equal runtime.chips.registers.shift_decay."""
     shifted = whole(x >> dash)
     sign = whole(whole(x > 0) - whole(x < 0))
     return shifted if shifted != 0 else sign

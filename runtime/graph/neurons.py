@@ -74,7 +74,7 @@ class DiscreteNeuron:
     v_reset: Array
 
     def flat(self) -> "DiscreteNeuron":
-        """The same neurons along one axis (N,), in C order."""
+        """Return the neurons along one axis (N,), in C order."""
         return replace(self, **{n: v.ravel() for n, v in vars(self).items() if v is not None})
 
 

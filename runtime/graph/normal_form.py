@@ -50,7 +50,7 @@ _LARGEST_INTEGER = 1 << 53  # up to which float64 holds every whole number
 
 
 def flatten(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
-    """The same network in one level; the graph itself where nothing is nested.
+    """Return the network in one level; the graph itself where nothing is nested.
 
     path: of the graph inside an outer one, ending in a dot.
     """

@@ -74,7 +74,7 @@ def check_unmasked(raster: object) -> None:
 
 
 def concatenate(all_: Sequence[Port], rows: Mapping[str, Rows]) -> Rows:
-    """One raster (B, T, M) of those of the ports (B, T, *shape), each in C order, ports by name."""
+    """Join the rasters (B, T, *shape) of ports, sorted by name, into one (B, T, M) in C order."""
     _check_rasters(all_, rows)
     flat = [rows[port.name].reshape(*rows[port.name].shape[:2], port.size) for port in all_]
     return flat[0] if len(flat) == 1 else np.concatenate(flat, axis=2)

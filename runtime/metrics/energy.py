@@ -78,7 +78,7 @@ def checked_table_names(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def describe_table(table: EnergyTable) -> str:
-    """One line to print with every number of the table: its source, and how certain it is."""
+    """Describe source and certainty of the table in one line, to print with its numbers."""
     why = table.uncertainty.why
     return f"{table.source}: {table.provenance}. Energies: {describe_certainty(table)} ({why})"
 

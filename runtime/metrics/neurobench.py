@@ -40,7 +40,7 @@ class NeuroBench:
     connection_sparsity: fraction of all weights that is 0, to 4 decimals.
     activation_sparsity: fraction of all neurons and timesteps without a spike, of the layers that
         can spike; 0 where none can.
-    activation_sparsity_by_layer: the same of each layer.
+    activation_sparsity_by_layer: that of each layer.
     effective_macs, effective_acs: products of non-zero inputs and non-zero weights; MACs in the
         timesteps in which some input of the matrix is neither 0 nor 1, ACs in the others.
     dense: products of all inputs and all weights.

@@ -26,7 +26,7 @@ class MemoryTraffic:
     weight_reads: one weight for each synaptic operation, those of biases included.
     state_reads: every state variable of every neuron in every timestep.
     state_writes: every state variable of every neuron that was updated.
-    read_bits, write_bits: the same [bits].
+    read_bits, write_bits: size of these reads and writes [bits].
     accumulator_accesses: reads and writes of the sums that synaptic operations add to, one of each,
         where those are in memory and not in registers; the bits do not include them.
     """
@@ -110,7 +110,7 @@ class HostWork:
 
 
 def host_work(program: Program, spikes: Mapping[str, NDArray[Any]]) -> HostWork | None:
-    """Of inferences; None where the host integrates nothing.
+    """Count the host's work in inferences; None where it integrates nothing.
 
     spikes: (B, T, N) of the input and of each layer that can spike.
     """

@@ -109,7 +109,7 @@ class Difference:
     found: float | str
 
     def describe(self) -> str:
-        """One line for people."""
+        """Describe the difference in one line."""
         neuron = "" if self.neuron is None else f"neuron {self.neuron}, "
         place = "" if self.step is None else f"step {self.step}, {self.layer}, {neuron}"
         return f"{place}{self.quantity}: expected {self.expected}, found {self.found}"
@@ -146,7 +146,7 @@ class Verdict:
         return self.difference is None
 
     def as_json(self) -> dict[str, Any]:
-        """Everything, for machines."""
+        """Return all fields as plain data."""
         return {"equal": self.equal, **asdict(self)}
 
 
@@ -248,7 +248,7 @@ def recorded_tables(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]
 
 
 def assumptions(specs: Mapping[str, Fields], chip: str) -> tuple[str, ...]:
-    """What was taken for fields that are missing: a remark for layers that take the same."""
+    """Return remarks on values assumed for missing fields, one for layers that share them."""
     takers: dict[tuple[str, ...], list[str]] = {}
     for name, spec in specs.items():
         takers.setdefault(tuple(spec.assumed), []).append(name)

@@ -32,7 +32,7 @@ class Port(Protocol):
         """Send bytes."""
 
     def read(self, size: int = 1, /) -> bytes:
-        """As many bytes, or those that came before the timeout."""
+        """Read so many bytes, or those that came before the timeout."""
 
 
 class LinkError(Exception):

@@ -38,7 +38,7 @@ class PinsPort:
         return len(data)
 
     def read(self, size: int = 1, /) -> bytes:
-        """At least as many bytes, or those that come before `bit_times` are over."""
+        """Read at least so many bytes, or those that come before `bit_times` are over."""
         symbols, self._symbols = self._symbols, []
         head = struct.pack("<III", len(symbols), size, self.bit_times)
         self._process.stdin.write(head + struct.pack(f"<{len(symbols)}H", *symbols))  # type: ignore[union-attr]
@@ -46,7 +46,7 @@ class PinsPort:
         return self._take(count)
 
     def _take(self, size: int) -> bytes:
-        """So many bytes from the simulation."""
+        """Read so many bytes from the simulation."""
         taken = b""
         while len(taken) < size:
             part = self._process.stdout.read(size - len(taken))  # type: ignore[union-attr]

@@ -24,7 +24,7 @@ _COSTS = Path("costs.json")
 
 
 def summary(report: dict[str, Any], seed: int) -> dict[str, Any]:
-    """What a build took: counts by name, seed, and mhz of its slowest clock."""
+    """Return the resources of a build: counts by name, seed, and mhz of its slowest clock."""
     used = report["utilization"]
     found = {name: used[key]["used"] for key, name in _USED.items() if key in used}
     return {"seed": seed, "mhz": min(each["achieved"] for each in report["fmax"].values()), **found}

@@ -78,7 +78,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         return 2 if self.sign_mode == "split" else 1
 
     def with_one_list(self) -> "CubaFixedPoint | None":
-        """Return it with weights of both signs in one list; None where that is no choice."""
+        """Return it with weights of both signs in one list; None without that choice."""
         if self.sign_mode != "split" or self.weight_bits < 2:
             return None
         return replace(self, sign_mode="mixed")
@@ -103,7 +103,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         return [quantise(layer, self, quantisation) for layer in network.layers]
 
     def ranges(self, layers: Sequence[Layer], timesteps: int | None) -> list[str]:
-        """Of quantised layers that their leaks do not bound what registers hold, a sentence each.
+        """Return a warning for each quantised layer whose leak does not bound its registers.
 
         timesteps: T of an inference; None where it is not known, or states are kept.
         """
@@ -194,7 +194,7 @@ def _of_neurons(values: Numbers, at: NDArray[np.intp], size: int) -> Numbers:
 
 
 def _one_step_before(states: Numbers, at: NDArray[np.intp]) -> Numbers:
-    """States (B, T, N) in the timestep before some places (K,) in C order; at first 0."""
+    """Return states (B, T, N) one timestep before places (K,) in C order; 0 before the first."""
     timesteps, neurons = states.shape[1:]
     begins = at // neurons % timesteps == 0
     return np.where(begins, 0, states.reshape(-1)[np.maximum(at - neurons, 0)])
@@ -235,7 +235,7 @@ class CubaFreeWidth(CubaFixedPoint):
 
     @property
     def weight_exponent_max(self) -> int:
-        """None: fraction bits of the states are free."""
+        """Weight exponent without a limit: fraction bits of the states are free."""
         return 0
 
     @property
@@ -295,7 +295,7 @@ class CubaFloat64(ArithmeticDefaults):
     graded_bits: ClassVar[int] = 53
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
-        """Take any choice, since nothing is rounded."""
+        """Accept every choice, since nothing is rounded."""
 
     def prepare(
         self,
@@ -305,7 +305,7 @@ class CubaFloat64(ArithmeticDefaults):
         delay: int,
         stagger: bool,
     ) -> tuple[list[Layer], list[str]]:
-        """As other chips; V >= threshold is V > the next number below it, which is exact."""
+        """Prepare as on other chips; V >= threshold becomes V > the next lower number, exactly."""
         if convention.spikes != "reached" or convention.reset != "zero":
             return super().prepare(layers, network_input, convention, delay, stagger)
         below = [replace(each, threshold=np.nextafter(each.threshold, -np.inf)) for each in layers]

@@ -189,14 +189,14 @@ def _integer_step(
 
 @frame.jit
 def _decay(x: Number, factor: Number, bits: Number) -> Number:
-    """As decay of runtime.chips.registers."""
+    """Equal runtime.chips.registers.decay."""
     left = abs(x) * factor >> bits
     return left if x >= 0 else -left
 
 
 @frame.jit
 def _fit(x: Number, rules: Array, register: int) -> Number:
-    """As Register.fit."""
+    """Equal Register.fit."""
     overflow, bits = rules[REGISTERS + 2 * register], rules[REGISTERS + 2 * register + 1]
     half = np.int64(1) << (bits - 1)
     if overflow == WRAP:

@@ -125,13 +125,13 @@ class Summation:
             self.multiply_active(raster)
 
     def multiply(self, raster: Raster) -> None:
-        """All axons times all weights: one matrix product for the window."""
+        """Multiply all axons by all weights: one matrix product for the window."""
         np.copyto(self._spikes, raster.rows)
         self._spikes.reshape(-1, len(self.weight)).dot(self.weight, self._sums)
         self._finish()
 
     def multiply_active(self, raster: Raster) -> None:
-        """Only the weights of axons that spiked at least once, in one small product; batch 1.
+        """Multiply only the weights of axons that spiked, in one small product; batch 1.
 
         Best where the same axons spike again and again, as those of a population code do.
         """
@@ -283,7 +283,7 @@ class LayerWindow:
         return Raster(self.spikes)
 
     def wait(self) -> Raster:
-        """No spikes, because the layer has not started."""
+        """Return no spikes, because the layer has not started."""
         self.is_waiting = True
         self.spikes.fill(False)
         return Raster(self.spikes)
@@ -349,7 +349,7 @@ class LayerWindow:
         return -self._limit <= lowest and highest <= self._limit
 
     def _interpret(self, fixed: CubaFixedPoint) -> None:
-        """The window once more, by the specification."""
+        """Compute the window again by the specification."""
         before = self.states[0].astype(np.int64)
         state = LayerState(before[0], before[1], self._refractory)
         self.overflows = np.zeros(before.shape[1], np.int64)

@@ -182,7 +182,7 @@ Scale: TypeAlias = float | Floats
 def _mantissas_per_unit(
     layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float
 ) -> Scale:
-    """As many as the weights, the threshold and the bias allow."""
+    """Return the most mantissas per unit that weights, threshold and bias allow."""
     widest_bias = (
         registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
     )

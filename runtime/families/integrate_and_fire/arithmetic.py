@@ -102,7 +102,7 @@ def _check_neurons(
 
 
 def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
-    """A neuron excites or inhibits all that it projects to, in whichever layer."""
+    """Refuse a neuron that excites some targets and inhibits others, in whichever layers."""
     signs: dict[str, tuple[Any, Any]] = {}
     for layer in layers:
         for synapses in layer.synapses:
@@ -151,7 +151,7 @@ def quantise(
     """The float layer as the chip's integers.
 
     rounding: None is the chip's own.
-    limits: False emulates a leak that the chip has not by the nearest that it has.
+    limits: False emulates a leak that the chip lacks by the nearest that it has.
     """
     _check_neurons(layer, chip_name, rules, limits)
     rounding = rounding or rules.rounding
@@ -302,7 +302,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
 
     @property
     def spikes_at_threshold(self) -> bool:
-        """True where a neuron spikes at its threshold, and not only above it."""
+        """True where a membrane equal to the threshold spikes, not only one above it."""
         return self.fires == "reached"
 
     @property
@@ -348,7 +348,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         return [_QUEUED + (_SOONER if late else "")]
 
     def check_convention(self, convention: Convention, chip_name: str) -> None:
-        """Refuse spikes and floors that the chip's neurons have not."""
+        """Refuse spikes and floors that the chip's neurons lack."""
         if convention.spikes == "many" and self.spikes_max == 1:
             raise RuleError(
                 f"rule convention: spikes 'many': a neuron on {chip_name} sends at most one in a "

@@ -273,7 +273,7 @@ def update_by_events(
 
 
 class _Done(NamedTuple):
-    """What a layer did in a timestep, (B, N) each."""
+    """Counts and states of a layer in a timestep, (B, N) each."""
 
     spikes: Integers
     touched: Integers

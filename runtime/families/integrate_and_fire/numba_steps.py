@@ -49,7 +49,7 @@ _NARROW_BITS = 31  # of a membrane that int32 holds, with what the host may read
 
 
 class Neurons(NamedTuple):
-    """Those of a layer, (N,) each: the rows of Constants.neurons.
+    """Numbers of the neurons of a layer, (N,) each: the rows of Constants.neurons.
 
     loss: leak of a timestep.
     threshold: what a spike subtracts.
@@ -183,7 +183,7 @@ def _begin(rules: Array, neurons: Array, before: Array, after: Array) -> None:
 
 @frame.jit
 def _leak_all(rules: Array, neurons: Array, before: Array, after: Array) -> None:
-    """As _leak of the specification."""
+    """Equal `_leak` of the specification."""
     leak = rules[LEAK]
     for n in range(len(after)):
         v, loss = before[n], neurons.loss[n]
@@ -319,7 +319,7 @@ def _arrive_alike(
     checks: bool,
     subtract: bool,
 ) -> Number:
-    """As _arrive_row, of neurons that are alike; the flags are constants at every call."""
+    """Equal `_arrive_row` for neurons that are alike; flags are constants at every call."""
     whole = membranes.dtype.type
     lost, lowest, highest = whole(0), whole(rules[LOWEST]), whole(rules[HIGHEST])
     floor, fires, reset = neurons.floor[0], neurons.fires[0], neurons.reset[0]
@@ -395,13 +395,13 @@ def _spike_once(rules: Array, neurons: Array, n: int, membranes: Array, spikes: 
 
 @frame.jit
 def _after_spike(rules: Array, neurons: Array, n: int, v: Number) -> Number:
-    """As _after_spike of the specification."""
+    """Equal `_after_spike` of the specification."""
     return v - neurons.threshold[n] if rules[SUBTRACT] else neurons.reset[n]
 
 
 @frame.jit
 def _hold(rules: Array, x: Number) -> Number:
-    """As Register.fit."""
+    """Equal Register.fit."""
     if rules[OVERFLOW] < WRAP:
         return min(max(x, rules[LOWEST]), rules[HIGHEST])
     half = np.int64(1) << (rules[BITS] - 1)
