@@ -178,14 +178,14 @@ def _with_bias_axons(layer: Layer, program: Program, biased: Sequence[Layer], de
     if layer in biased:
         rows[biased.index(layer)] = layer.bias
     synapses = list(layer.synapses)
-    heard = [k for k, each in enumerate(synapses) if each.source == program.input]
-    place = next((k for k in heard if synapses[k].delay == delay), None)
+    from_input = [k for k, each in enumerate(synapses) if each.source == program.input]
+    place = next((k for k in from_input if synapses[k].delay == delay), None)
     if place is None and rows.any():
         none = np.zeros((program.width, layer.size), np.int64)
         new = replace(synapses[0], source=program.input, weight=none, delay=delay)
         place = len(synapses)
-        heard, synapses = [*heard, place], [*synapses, new]
-    for k in heard:
+        from_input, synapses = [*from_input, place], [*synapses, new]
+    for k in from_input:
         weight = np.vstack([synapses[k].weight, rows if k == place else 0 * rows])
         synapses[k] = replace(synapses[k], weight=weight)
     return replace(layer, bias=np.zeros_like(layer.bias), synapses=tuple(synapses))

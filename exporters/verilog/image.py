@@ -29,7 +29,7 @@ _KINDS = {"none": 0, "wrap": 1, "wrap-once": 2, "clip": 3, "saturate": 4}
 
 @dataclass(frozen=True)
 class Output:
-    """A layer that the host listens to, as its words leave.
+    """A layer that the host reads, as its words leave.
 
     layer: its name in the program.
     silent: whether its membranes leave, one a word, and not its spikes, 32 a word.
@@ -164,7 +164,7 @@ class CoreImage:
 
     @cached_property
     def outputs(self) -> tuple[Output, ...]:
-        """Layers that the host listens to, in the order of their words."""
+        """Layers that the host reads, in the order of their words."""
         return tuple(
             Output(layer.name, not layer.spiking, layer.size)
             for layer in self.program.layers
@@ -272,10 +272,10 @@ class CoreImage:
     def fields(self) -> Mapping[str, NeuronField]:
         """Numbers of the neurons, by name, as they are stored."""
         per_layer: dict[str, list[int | None]] = {name: [] for name in _FIELDS}
-        heard = {output.layer for output in self.outputs}
+        read = {output.layer for output in self.outputs}
         axon = self.axons
         for layer in self.plan.layers:
-            each = self._fields_of(layer, layer.layer.name in heard, axon)
+            each = self._fields_of(layer, layer.layer.name in read, axon)
             for name, values in each.items():
                 per_layer[name] += values
             axon += layer.size
@@ -300,7 +300,7 @@ class CoreImage:
         return found
 
     def _fields_of(
-        self, layer: LayerPlan, heard: bool, axon: int
+        self, layer: LayerPlan, is_read: bool, axon: int
     ) -> Mapping[str, Sequence[int | None]]:
         """Numbers of the neurons of a layer by name; axon: of its first neuron."""
         held, size, spiking = layer.layer, layer.size, layer.layer.spiking
@@ -313,8 +313,8 @@ class CoreImage:
             "BIAS": layer.bias.tolist(),
             "ROW": [self.rows.entry(axon + k) if spiking else None for k in range(size)],
             "SPIKING": [int(spiking)] * size,
-            "HEARD": [int(heard)] * size,
-            "CLOSING": [int(end) for end in ends] if spiking and heard else [None] * size,
+            "HEARD": [int(is_read)] * size,
+            "CLOSING": [int(end) for end in ends] if spiking and is_read else [None] * size,
         }
 
     def _place(self, field: NeuronField, at: int) -> NeuronField:
@@ -461,8 +461,8 @@ def core_image(program: Program, codec: Codec | None = None) -> CoreImage:
     check_program(program)
     program = program.dense("the core of an FPGA")
     image = CoreImage(Plan(program, codec))
-    heard = [output.layer for output in image.outputs if output.silent]
-    check_membranes({layer: image.membrane_bits(layer) for layer in heard})
+    membrane_layers = [output.layer for output in image.outputs if output.silent]
+    check_membranes({layer: image.membrane_bits(layer) for layer in membrane_layers})
     _ = image.localparams, image.neuron_words  # what cannot be is refused here, and not later
     return image
 

@@ -22,7 +22,7 @@ class Timestep:
     """A timestep of the core.
 
     clocks: from its first token until it could take another one.
-    values: (N,) of each layer that the host listens to: membranes [state units], or spikes.
+    values: (N,) of each layer that the host reads: membranes [state units], or spikes.
     current, membrane: (N,) of all neurons [state units]; spikes: (N,).
     """
 

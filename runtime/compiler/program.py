@@ -81,7 +81,7 @@ class Program:
     all others, so that row t of every window means the same as without delays. Pipelined, all
     starts are 0, and windows are the same T timesteps of the chip. Free, every layer runs in all
     timesteps from the first row until the last layer has seen the last; its window are the T from
-    its start, in which its bias axon spikes and the host listens to it.
+    its start, in which its bias axon spikes and the host reads it.
 
     chip: the one that it runs on.
     convention: of the artifact; reset and state are read from it.
@@ -295,7 +295,7 @@ class Program:
 
     @property
     def readout_weights(self) -> tuple[tuple[str, NDArray[np.float64]], ...]:
-        """The layers that the host listens to through weights, and those weights (N, act)."""
+        """The layers that the host reads through weights, and those weights (N, act)."""
         return tuple(
             (term.layer, term.weight) for term in self.output_terms if term.weight is not None
         )

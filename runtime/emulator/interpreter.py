@@ -93,8 +93,8 @@ class Interpreter:
                     result = _wait(state)
                 else:
                     presynaptic = self._presynaptic(layer, step, sent)
-                    heard = row in range(timesteps)[program.window(layer, timesteps)]
-                    result = self._update(layer, heard, step, presynaptic, state)
+                    in_window = row in range(timesteps)[program.window(layer, timesteps)]
+                    result = self._update(layer, in_window, step, presynaptic, state)
                 sent[layer.name][:, self._memory + row] = result.spikes
                 done[layer.name].append((state.current, state.membrane, result))
         self.tails = {name: rows[:, timesteps:] for name, rows in sent.items()}
@@ -111,17 +111,17 @@ class Interpreter:
     def _update(
         self,
         layer: Layer,
-        heard: bool,
+        in_window: bool,
         step: int,
         presynaptic: Sequence[Numbers],
         state: LayerState,
     ) -> StepResult:
         """A timestep of a layer, in which these spikes (B, M) of its synapses arrive.
 
-        heard: whether it is in its window, in which its bias axon spikes.
+        in_window: whether it is in its window, in which its bias axon spikes.
         """
         program, draws = self.program, self._draws
-        now = layer if heard else self._unbiased[layer.name]
+        now = layer if in_window else self._unbiased[layer.name]
         if draws is None:
             return program.chip.arithmetic.update(program, now, presynaptic, state)
         place = [each.name for each in program.layers].index(layer.name) + 1
@@ -208,10 +208,10 @@ def count(
         len(range(timesteps)[program.window(a, timesteps)]) * (a.name not in waiting)
         for a in program.layers
     ]
-    heard, steps = np.tile(windows, (batch, 1)), program.steps(timesteps)
+    window_steps, steps = np.tile(windows, (batch, 1)), program.steps(timesteps)
     for layer in program.layers:
         rows.setdefault(layer.name, np.zeros((batch, layer.size), np.int64))
-    return count_events(program, rows, updates, overflows, heard, steps, lost)
+    return count_events(program, rows, updates, overflows, window_steps, steps, lost)
 
 
 _FLIPS, _LOST, _SPURIOUS, _BIT = range(4)  # streams of draws

@@ -126,7 +126,7 @@ def count_events(
     spikes: Mapping[str, NDArray[Any]],
     updates: Counts,
     overflows: Counts,
-    heard: Counts,
+    window_steps: Counts,
     steps: int,
     lost: Mapping[str, NDArray[Any]] = MappingProxyType({}),
 ) -> Counts:
@@ -134,7 +134,7 @@ def count_events(
 
     spikes: (S, N) of each neuron of the input and of each layer.
     updates, overflows: (S, L) neuron-timesteps with something to add up; numbers that did not fit.
-    heard: (S, L) timesteps in which a layer's bias axon spikes and the host listens to it.
+    window_steps: (S, L) timesteps in which a layer's bias axon spikes and the host reads it.
     steps: chip timesteps of a window.
     lost: (S, N) of the spikes of some layers those that reached no neuron.
     """
@@ -150,17 +150,17 @@ def count_events(
             for s in layer.synapses
         }
         spike_in = sum(sent[s.source] - unheard.get(s.source, 0) for s in layer.synapses)
-        leaving = sent[layer.name] if layer.spiking else heard[:, k] * layer.size
+        leaving = sent[layer.name] if layer.spiking else window_steps[:, k] * layer.size
         has_bias = layer.bias_fan_out > 0
         events = {
             "spike_in": spike_in,
             "sop": sum(operations.values()),
-            "bias_sop": heard[:, k] * layer.bias_fan_out,
+            "bias_sop": window_steps[:, k] * layer.bias_fan_out,
             "neuron_update": updates[:, k],
             "neuron_idle": 0 if by_events else layer.size * steps - updates[:, k],
             "spike_out": sent[layer.name] * layer.spiking,
             "message": spike_in
-            + heard[:, k] * has_bias
+            + window_steps[:, k] * has_bias
             + leaving * (layer.name in program.output_layers),
             "saturation": overflows[:, k],
             "graded_sop": sum(n for s, n in operations.items() if s.source in program.graded),

@@ -342,7 +342,7 @@ class Host:
         self._bias = np.concatenate(biases)
         self._sizes = program.sizes | {layer.name: layer.size for layer in program.host}
         sources = {s.source for layer in program.host for s in layer.synapses}
-        self._hears_input = program.input in sources | {name for name, *_ in self._terms}
+        self._reads_input = program.input in sources | {name for name, *_ in self._terms}
         self.reset(streaming=False)
 
     def reset(self, streaming: bool) -> None:
@@ -369,7 +369,7 @@ class Host:
     def output(self, raster: NDArray[Any], backend: Backend) -> Floats:
         """Output (B, T, act) of the last window, whose input was the raster (T, B, M).
 
-        Of layers that run free, the T timesteps of their windows are heard.
+        Of layers that run free, the T timesteps of their windows are read.
         """
         rows = self._rows(raster, backend)
         for integrator in self._integrators:
@@ -382,15 +382,15 @@ class Host:
         return np.asarray(output.swapaxes(0, 1))
 
     def _rows(self, raster: NDArray[Any], backend: Backend) -> dict[str, Floats]:
-        """(T, B, N) of the input, where it is heard, and of all that leaves the chip."""
+        """(T, B, N) of the input, where the host uses it, and of all that leaves the chip."""
         program = self._program
-        rows = {program.input: raster.astype(np.float64)} if self._hears_input else {}
+        rows = {program.input: raster.astype(np.float64)} if self._reads_input else {}
         single = backend.schedule.mode == "step"
         for name in program.output_layers:
             layer = program.layer(name)
             ran = backend.spikes(name) if layer.spiking else backend.membranes(name) * layer.scale
-            heard = ran if single else ran[program.window(layer, len(ran))]
-            rows[name] = heard.astype(np.float64, copy=False)
+            read = ran if single else ran[program.window(layer, len(ran))]
+            rows[name] = read.astype(np.float64, copy=False)
         return rows
 
 

@@ -375,7 +375,7 @@ class EventCounter:
     """Counts the events of windows, those of many in little more time than those of one.
 
     windows: of the layers, in their order.
-    heard: of each layer the timesteps in which its bias axon spikes and the host listens to it.
+    window_steps: of each layer the timesteps in which its bias axon spikes and the host reads it.
     timesteps: of a window.
     steps: chip timesteps that it stands for, those in which a layer only waits included.
     """
@@ -384,12 +384,12 @@ class EventCounter:
         self,
         program: Program,
         windows: Sequence[LayerWindow],
-        heard: Sequence[int],
+        window_steps: Sequence[int],
         timesteps: int,
         steps: int,
     ) -> None:
         self.timesteps, self.steps, self.batch = timesteps, steps, windows[0].states.shape[2]
-        self._program, self._heard = program, np.array(heard)
+        self._program, self._window_steps = program, np.array(window_steps)
         # views that are made once
         nonzero = [np.empty(window.states.shape, np.bool_) for window in windows]
         self._windows = [
@@ -414,14 +414,14 @@ class EventCounter:
             dict(zip(self._program.sizes, map(np.concatenate, spikes), strict=True)),
             self._rows([updates for updates, _, _ in layers]) * running,
             self._rows([none if lost is None else lost for _, lost, _ in layers]) * running,
-            self._heard * running,
+            self._window_steps * running,
             self.steps,
         )
 
     def _rows(self, values: Sequence[Any]) -> Counts:
         """Values of observations, layers and batch as rows (S, L)."""
-        shaped = np.array(values, np.int64).reshape(-1, len(self._heard), self.batch)
-        return np.asarray(shaped.swapaxes(1, 2).reshape(-1, len(self._heard)))
+        shaped = np.array(values, np.int64).reshape(-1, len(self._window_steps), self.batch)
+        return np.asarray(shaped.swapaxes(1, 2).reshape(-1, len(self._window_steps)))
 
     def _count_active(
         self, window: LayerWindow, nonzero: Numbers, active: Numbers, before: Numbers
@@ -452,7 +452,7 @@ class NumpyPipeline(Uncopied):
         self._dtype = np.int64 if fixed else np.float64
         # rows that a layer runs at once
         self._rows = rows = schedule.timesteps if whole else 1
-        heard = [program.window(a, rows) if whole else slice(None) for a in program.layers]
+        spans = [program.window(a, rows) if whole else slice(None) for a in program.layers]
         synapses = [s for layer in program.layers for s in layer.synapses]
         largest = max((s.weight.size for s in synapses if s.window is None), default=0)
         scratch = aligned_zeros((largest * np.dtype(np.float64).itemsize,), np.uint8)
@@ -460,12 +460,12 @@ class NumpyPipeline(Uncopied):
             layer.name: LayerWindow(
                 program, layer, fixed, (rows, batch), schedule.kept, scratch, biased
             )
-            for layer, biased in zip(program.layers, heard, strict=True)
+            for layer, biased in zip(program.layers, spans, strict=True)
         }
         self._counter = EventCounter(
             program,
             [*self._windows.values()],
-            [len(range(rows)[biased]) for biased in heard],
+            [len(range(rows)[biased]) for biased in spans],
             rows,
             schedule.steps if whole else 1,
         )

@@ -123,7 +123,7 @@ def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
 
 def _check_events(layers: Sequence[Layer], network_input: str) -> None:
     """Refuse what has no place where layers work on queues of events."""
-    heard = {network_input}
+    earlier = {network_input}
     for layer in layers:
         if layer.bias.any() or layer.voltage_bias.any():
             raise RuleError(
@@ -132,13 +132,13 @@ def _check_events(layers: Sequence[Layer], network_input: str) -> None:
                 "each timestep."
             )
         for synapses in layer.synapses:
-            if synapses.source not in heard or synapses.delay:
+            if synapses.source not in earlier or synapses.delay:
                 raise RuleError(
                     f"rule recurrence: layers {synapses.source!r} -> {layer.name!r}: event by "
                     "event a spike arrives at once and reaches layers behind its own alone. Take "
                     "the loop or the delay out, or choose queue 'off'."
                 )
-        heard.add(layer.name)
+        earlier.add(layer.name)
 
 
 def quantise(
