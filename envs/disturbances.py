@@ -408,7 +408,7 @@ def disturbances(texts: Sequence[str], world: str) -> list[Disturbance]:
     return [Disturbance(each.name, each.number, each.text) for each in found]
 
 
-class Disturbed(gymnasium.Wrapper[Any, Any, Any, Any]):
+class DisturbedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """An environment with its disturbances; `given` are the options that make it again."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], given: Mapping[str, Any]) -> None:
@@ -432,7 +432,7 @@ def make_disturbed(
     for each in found:
         if each.kind.wrap is not None:
             env = each.kind.wrap(env, each.number)
-    return Disturbed(env, {**given, "disturb": [each.text for each in found]}) if found else env
+    return DisturbedEnv(env, {**given, "disturb": [each.text for each in found]}) if found else env
 
 
 def _default(entry: EnvSpec, option: str) -> Any:  # noqa: ANN401

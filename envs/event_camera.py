@@ -123,7 +123,7 @@ def _luminance(logarithm: NDArray[Any]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class _Fired:
+class _FrameEvents:
     """Events of all cameras in a frame, without an order.
 
     place: (E,) index into the pixels of all cameras
@@ -240,7 +240,7 @@ class EventCamera:
         channel = np.where(fired.is_on, 0, 1)
         np.add.at(counts.reshape(self._batch, *expected[-3:]), (camera, channel, row, column), 1)
 
-    def _fire(self, frames: ArrayLike, t: ArrayLike) -> _Fired:
+    def _fire(self, frames: ArrayLike, t: ArrayLike) -> _FrameEvents:
         """Events of a frame; the state after them."""
         given = np.asarray(frames)
         if given.shape != self.shape:
@@ -266,7 +266,7 @@ class EventCamera:
         noise = self._shot_noise(given, elapsed)
         self._memory.reshape(-1)[noise[0]] = self._light.reshape(-1)[noise[0]]
         self._now = now
-        return _Fired(
+        return _FrameEvents(
             np.concatenate([place, noise[0]]),
             np.concatenate([on, noise[1]]),
             np.concatenate([turn, turns[noise[0] // self._size]]),
@@ -383,7 +383,7 @@ class EventCamera:
         is_kept = np.concatenate(kept) < rate
         return place[is_kept], channel[is_kept] % 2 == 0
 
-    def _events(self, camera: int, before: float, fired: _Fired) -> Events:
+    def _events(self, camera: int, before: float, fired: _FrameEvents) -> Events:
         """Events (E,) of a camera in the order of time."""
         (at,) = np.nonzero(fired.place // self._size == camera)
         shuffled = self._order[camera].permutation(at)

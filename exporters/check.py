@@ -28,7 +28,7 @@ class ParityCheck:
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportResult:
     """A written file or folder.
 
     path: of it.
@@ -51,7 +51,7 @@ class Exported:
         """True if every check passed."""
         return all(each.passed for each in self.checks)
 
-    def require_passed(self, policy: str, remedy: str = "") -> "Exported":
+    def require_passed(self, policy: str, remedy: str = "") -> "ExportResult":
         """Return the export; ConfigError where the file does not compute what the policy does."""
         if failed := [check for check in self.checks if not check.passed]:
             said = f"{failed[0].name}, {failed[0].detail}{remedy}"

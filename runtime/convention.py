@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from spikedeploy.runtime import choices
 from spikedeploy.runtime.errors import ConventionError
-from spikedeploy.runtime.metadata import OPTIONAL, Stored
+from spikedeploy.runtime.metadata import OPTIONAL, StoredRecord
 
 Reset = choices.Reset
 Integrator = choices.Integrator
@@ -30,7 +30,7 @@ def check_timestep(dt: object) -> None:
 
 
 @dataclass(frozen=True)
-class Convention(Stored):
+class Convention(StoredRecord):
     """The discretisation of a NIR graph, which is defined in continuous time.
 
     dt: [s] duration of one timestep.

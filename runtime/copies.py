@@ -9,10 +9,10 @@ from typing import Any, ClassVar, TypeVar
 
 from spikedeploy.runtime.errors import ConfigError
 
-AnyCopied = TypeVar("AnyCopied", bound="Copied")
+AnyCopyable = TypeVar("AnyCopyable", bound="Copyable")
 
 
-class Uncopied:
+class NotCopyable:
     """Base of objects that cannot be copied exactly: a copy raises ConfigError.
 
     instead: what to do, a sentence.
@@ -27,11 +27,11 @@ class Uncopied:
         )
 
 
-class Copied:
+class Copyable:
     """Base of objects that share no changing part with any copy, even a shallow one."""
 
     # also where a base refuses
     __reduce_ex__ = object.__reduce_ex__
 
-    def __copy__(self: AnyCopied) -> AnyCopied:
+    def __copy__(self: AnyCopyable) -> AnyCopyable:
         return deepcopy(self)

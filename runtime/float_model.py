@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.graph.neurons import GRADED_MOST, NEURONS, SPIKING, SigmaDelta, discretise
 from spikedeploy.runtime.graph.order import Edge, delay_timesteps, sources
@@ -330,7 +330,7 @@ MAX_RUN_BYTES = 1 << 32
 Trace = dict[str, NDArray[np.generic]]
 
 
-class FloatGraph(Copied):
+class FloatGraph(Copyable):
     """A network with its state, which `run` continues where the convention keeps it.
 
     Without loops each node is computed for all timesteps at once; with loops all nodes are computed

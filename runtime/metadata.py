@@ -12,7 +12,7 @@ from spikedeploy.runtime.errors import ArtifactError
 # what NIR metadata can hold: nir refuses None and loses the type of lists
 Tree: TypeAlias = dict[str, "str | int | float | NDArray[np.float64] | Tree"]
 _LARGEST = float(np.finfo(np.float64).max)
-_S = TypeVar("_S", bound="Stored")
+_S = TypeVar("_S", bound="StoredRecord")
 
 
 class Record:
@@ -102,7 +102,7 @@ INFINITE = {"infinite": True}
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class StoredRecord:
     """A dataclass that a file stores as a group of its fields: arrays, numbers, texts, groups.
 
     label: what it is called in messages.
@@ -134,7 +134,7 @@ class Stored:
                 continue
             if isinstance(value, np.ndarray):
                 value = value.astype(np.float64)
-            found[each.name] = value.to_record() if isinstance(value, Stored) else value
+            found[each.name] = value.to_record() if isinstance(value, StoredRecord) else value
         return found
 
     @classmethod
@@ -151,7 +151,7 @@ class Stored:
 
     def astype(self: _S, dtype: DTypeLike) -> _S:
         """Return the object with arrays of another float type."""
-        kinds = (np.ndarray, Stored)
+        kinds = (np.ndarray, StoredRecord)
         arrays = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
         return replace(self, **{name: value.astype(dtype) for name, value in arrays.items()})
 
@@ -163,13 +163,13 @@ def _read(record: Record, each: "Field[Any]") -> object:
         return record.number(each.name)
     if each.type is str or get_origin(each.type) is Literal:
         return record.text(each.name)
-    if isinstance(each.type, type) and issubclass(each.type, Stored):
+    if isinstance(each.type, type) and issubclass(each.type, StoredRecord):
         return each.type.from_record(record.group(each.name))
     return record.array(each.name, infinite=bool(each.metadata.get("infinite")))
 
 
 @dataclass(frozen=True)
-class Provenance(Stored):
+class Provenance(StoredRecord):
     """The origin of a policy: all that is needed to train it again.
 
     env: id of the training environment.

@@ -24,7 +24,7 @@ _UPDATE = 6  # READ twice, ADD, PUSH, ADD, STORE
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedSteps:
     """Timesteps of the emulator, S of them.
 
     tokens: of each timestep; FORGET before a new episode, and STEP at the end.
@@ -46,7 +46,7 @@ def record(
     raster: NDArray[np.uint8],
     backend: BackendName = "interpreter",
     episodes: Collection[int] = (),
-) -> Recorded:
+) -> RecordedSteps:
     """Timesteps of the emulator with input spikes (S, T, M) of one inference after another.
 
     episodes: inferences with which a new episode begins; each one does where states are reset.
@@ -73,7 +73,7 @@ def record(
         for t, row in enumerate(inference)
     ]
     clocks = _clocks(image, raster.reshape(-1, image.axons), states["spikes"])
-    return Recorded(tokens, words, **states, clocks=clocks)
+    return RecordedSteps(tokens, words, **states, clocks=clocks)
 
 
 def clocks_of(image: CoreImage, raster: NDArray[np.uint8]) -> Integers:
@@ -130,7 +130,7 @@ def episode_record(
     return {"seed": seed, "observation": observation.tolist(), "action": action.tolist()}
 
 
-def bench_files(image: CoreImage, recorded: Recorded) -> dict[str, str]:
+def bench_files(image: CoreImage, recorded: RecordedSteps) -> dict[str, str]:
     """Text of the files that bench.v reads, by name."""
     words = [
         (k == len(each) - 1) << 32 | word for each in recorded.words for k, word in enumerate(each)

@@ -10,7 +10,7 @@ from spikedeploy.exporters.rendering import render
 from spikedeploy.exporters.to_program import HOST_CODEC, as_rows, host_terms, plain_record, script
 from spikedeploy.exporters.verilog.bench import (
     BENCH,
-    Recorded,
+    RecordedSteps,
     bench_files,
     episode_record,
     record,
@@ -93,7 +93,9 @@ _PROGRAMMERS = {
 }
 
 
-def costs_record(image: CoreImage, board: Board, use: Use, recorded: Recorded) -> dict[str, Any]:
+def costs_record(
+    image: CoreImage, board: Board, use: Use, recorded: RecordedSteps
+) -> dict[str, Any]:
     """Return the predicted cells and time of the core on the board; builds add their results."""
     clocks, tokens = recorded.clocks.tolist(), recorded.tokens
     # a request and a reply have 5 bytes beside tokens and words, and a byte has 10 bits on the line

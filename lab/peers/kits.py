@@ -20,7 +20,7 @@ from pathlib import Path
 import nir
 import numpy as np
 
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.exporters.to_program import tool_of
 from spikedeploy.runtime.artifact.artifact import Artifact, save
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
@@ -190,7 +190,7 @@ def run_case(case: Case, python: Path, folder: Path) -> Iterator[str]:
         yield run_script(python, case, kit.path, *loop)
 
 
-def write_kit(case: Case, folder: Path) -> Exported:
+def write_kit(case: Case, folder: Path) -> ExportResult:
     """The kit of a case; each of its layers spikes."""
     network, env = case.network, None
     raster = None if case.raster is None else Path(case.raster)

@@ -16,7 +16,7 @@ from spikedeploy.runtime.codec.events import EventEncoder
 from spikedeploy.runtime.codec.population import PopulationEncoder
 from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.errors import ObservationError
-from spikedeploy.runtime.metadata import OPTIONAL, Stored
+from spikedeploy.runtime.metadata import OPTIONAL, StoredRecord
 
 __all__ = [
     "ENCODERS",
@@ -43,7 +43,7 @@ _MOST_TIMESTEPS = 2**16  # of an inference: a spike train is held whole
 
 
 @dataclass(frozen=True, eq=False)
-class Normaliser(Stored):
+class Normaliser(StoredRecord):
     """Observation to zero mean and unit standard deviation, clipped.
 
     mean: (obs,) in the observation's units.
@@ -77,7 +77,7 @@ class Normaliser(Stored):
 
 
 @dataclass(frozen=True, eq=False)
-class Codec(Stored):
+class Codec(StoredRecord):
     """Everything between a robot's numbers and the network's spikes.
 
     normaliser: of the observation.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.codec.encoder import Encoder
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.errors import ObservationError
 from spikedeploy.runtime.metadata import INFINITE
 
@@ -22,7 +22,7 @@ _MOST = 256  # events of one observation in a timestep; the table grows with its
 LARGEST = 2**30  # parts of a step; numbers beyond are clipped, so that no integer overflows
 
 
-class Levels(Copied):
+class Levels(Copyable):
     """The levels q of a batch of robots: the events sent since the episode began, with their signs.
 
     sent: (B, obs) int64; None before the first observations, which decide B.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.metadata import Record, Stored, Tree
+from spikedeploy.runtime.metadata import Record, StoredRecord, Tree
 
 # what an encoder carries from one inference of an episode to the next, for every robot of a batch;
 # made by its `start`, read by its `encode` alone; copied by copy and pickle
@@ -20,7 +20,7 @@ ENCODERS: "dict[str, type[Encoder]]" = {}
 
 
 @dataclass(frozen=True, eq=False)
-class Encoder(Stored, ABC):
+class Encoder(StoredRecord, ABC):
     """Normalised observations to spikes; a file stores its kind and its fields.
 
     kind: in files, and in ENCODERS, where each class enters itself.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.codec.encoder import Encoder
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 
 Mode = Literal["regular", "bernoulli"]
 LEVELS = 256  # steps of a rate from 0 to 1; a rate of 1 is level 256
@@ -25,7 +25,7 @@ States = NDArray[np.uint32]
 _u32 = np.uint32  # constants are uint32, or NumPy would widen the states
 
 
-class Xorshift(Copied):
+class Xorshift(Copyable):
     """The generators of a batch of robots, seeded when the object is made.
 
     seed: of the episode.

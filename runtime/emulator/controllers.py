@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, observed_numbers
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.machine import Machine
@@ -22,7 +22,7 @@ from spikedeploy.runtime.faults import NONE, Faults
 _STREAM = 2  # keeps the draws apart from those of an environment with the same seed
 
 
-class Sampler(Copied):
+class Sampler(Copyable):
     """Draws from the softmax of scores; the seed of the episode decides every draw.
 
     chooses: whether the policy chooses one of several actions, which is all that can be drawn.
@@ -48,7 +48,7 @@ class Sampler(Copied):
         return np.asarray((below[:, :-1] <= drawn).sum(axis=1))
 
 
-class SpikingController(Copied):
+class SpikingController(Copyable):
     """Observation in, action out; the codec of the artifact does the rest.
 
     Copies go on from where it is, as those of its Machine do.

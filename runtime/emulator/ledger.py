@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Clock
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.errors import ConfigError
 
 Counts = NDArray[np.int64]
@@ -201,7 +201,7 @@ class _Counter(Protocol):
         """Counts (S, L, E): a row for each observation and each of its batch."""
 
 
-class LedgerBuilder(Copied):
+class LedgerBuilder(Copyable):
     """Rows of counts, from observations that are counted when there are enough of them.
 
     rows: "each" keeps a row per control step, of each of a batch; "copies" adds up those of each;

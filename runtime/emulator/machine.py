@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.damage import Damage, sum_damage
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.emulator.backend import (
     Backend,
     BackendMaker,
@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 CHUNK = 64
 
 
-class Machine(Copied):
+class Machine(Copyable):
     """A running chip: spikes in, output of the readout or spikes out.
 
     Use `infer` for whole inferences, or `step` for one chip timestep after another. Copies go on

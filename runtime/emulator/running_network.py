@@ -11,7 +11,7 @@ from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName, Recording
 from spikedeploy.runtime.emulator.interpreter import count
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
@@ -24,7 +24,7 @@ from spikedeploy.runtime.graph.ports import Port, by_port
 _FLOAT = "float"
 
 
-class FloatMachine(Copied):
+class FloatMachine(Copyable):
     """The float twin with the calls of a Machine; it counts what a chip without rounding would do.
 
     spikes: (B, T, *N) of each spiking node in the last inference.

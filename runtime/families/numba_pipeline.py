@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.copies import Uncopied
+from spikedeploy.runtime.copies import NotCopyable
 from spikedeploy.runtime.emulator.backend import (
     Recording,
     SavedState,
@@ -154,7 +154,7 @@ def describe(window: Window | None, tables: list[Numbers]) -> list[int]:
     return [height, width, *starts, *window.kernel, *of_group, features, target_y, target_x]
 
 
-class NumbaPipeline(Uncopied, ABC):
+class NumbaPipeline(NotCopyable, ABC):
     """A program as a Backend, in memory for windows of T timesteps of B.
 
     states_of_neuron: its membrane is the last.

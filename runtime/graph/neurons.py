@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
-from spikedeploy.runtime.metadata import Record, Stored, Tree
+from spikedeploy.runtime.metadata import Record, StoredRecord, Tree
 
 Array = NDArray[np.float64]
 
@@ -251,7 +251,7 @@ _REMARK = (
 
 
 @dataclass(frozen=True, eq=False)
-class SigmaDelta(Stored):
+class SigmaDelta(StoredRecord):
     """The sigma-delta neurons of one node.
 
     threshold: (N,) or the node's shape; distance that a graded spike of 1 stands for, above 0.

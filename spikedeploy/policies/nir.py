@@ -39,7 +39,7 @@ from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.runtime.codec.codec import GIVE_CODEC, Codec
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.rules import place
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.running_network import chip_or_float
@@ -75,7 +75,7 @@ def _read_policy(path: str, *identity: int) -> Artifact:
     return artifact
 
 
-class NirController(Copied, Player):
+class NirController(Copyable, Player):
     """A spiking policy with a ledger for each episode; options are those of SpikingController.
 
     artifact: the file

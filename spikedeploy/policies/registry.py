@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from spikedeploy import zoo
 from spikedeploy.objects import is_of_process
 from spikedeploy.runtime.codec.codec import observed_numbers
-from spikedeploy.runtime.copies import Uncopied
+from spikedeploy.runtime.copies import NotCopyable
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.setup import DEFAULT, Setup
@@ -93,10 +93,10 @@ _HINT = "`spikedeploy policies` lists what is shipped"
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts
 
 
-class Player(Uncopied):
+class Player(NotCopyable):
     """A loaded policy: it acts in an environment, and answers for recorded episodes.
 
-    Copies are refused unless a subclass is Copied: a script reads a world, a session has no copy.
+    Copies are refused unless a subclass is Copyable: a script reads a world, a session has no copy.
 
     Subclasses define `act` or `replay`, of which each is made of the other.
 

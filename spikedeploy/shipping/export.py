@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.trainers.config import require_known
@@ -34,7 +34,7 @@ def export(
     to: str | None = None,
     path: Path | None = None,
     **options: Any,  # noqa: ANN401
-) -> Exported:
+) -> ExportResult:
     """Write a policy in a format of EXPORTERS; `to` None is what the path ends in, or NIR or ONNX.
 
     options: of the format's function, such as chip or observations.
@@ -43,7 +43,7 @@ def export(
     """
     to = _format(policy, path, options) if to is None else require_known(to, EXPORTERS, "format")
     module, _, name = EXPORTERS[to].partition(":")
-    function: Callable[..., Exported] = getattr(import_module(f"{__package__}.{module}"), name)
+    function: Callable[..., ExportResult] = getattr(import_module(f"{__package__}.{module}"), name)
     known = [*inspect.signature(function).parameters][2:]
     for option in options:
         if option not in known:

@@ -14,7 +14,7 @@ from spikedeploy.exporters.c.int8 import read_onnx
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.chips.chip import chip as chip_named
@@ -46,7 +46,7 @@ def export_c(
     env: str | None = None,
     prefix: str = "policy",
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a policy as C: a spiking one of a chip, a float one with 8-bit weights.
 
     path: of the folder.
@@ -98,12 +98,12 @@ def export_c(
         f"compare with the interpreter: make -C {quote(str(folder))} test",
     )
     facts = {"costs": asdict(costs), "recorded": recorded, "remarks": list(program.remarks)}
-    return Exported(folder, tuple(files.text), (), {**facts, "int16": not without}, lines)
+    return ExportResult(folder, tuple(files.text), (), {**facts, "int16": not without}, lines)
 
 
 def _export_float(
     file: Path, folder: Path, observations: int, prefix: str, env: str | None
-) -> Exported:
+) -> ExportResult:
     """Write the C of an ONNX file, and compare its actions with the float network's."""
     controller, network = OnnxController(file), quantise_network(read_onnx(file))
     scales = network.observations
@@ -133,7 +133,7 @@ def _export_float(
         f"wrote {folder}: {', '.join(texts)}",
         f"compare with the specification in Python: make -C {quote(str(folder))} test",
     )
-    return Exported(folder, tuple(texts), (), facts, lines)
+    return ExportResult(folder, tuple(texts), (), facts, lines)
 
 
 def is_export(folder: Path) -> bool:

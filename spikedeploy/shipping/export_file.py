@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spikedeploy.exporters.check import Exported, ParityCheck, compare_integers, random_spikes
+from spikedeploy.exporters.check import ExportResult, ParityCheck, compare_integers, random_spikes
 from spikedeploy.exporters.to_xylo import MARK, check_chip, compare_spikes, document, specification
 from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
@@ -42,7 +42,7 @@ def export_nir(
     dt: float | None = None,
     reset: "Reset | None" = None,
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a run's policy as NIR; or a file anew, as a tool's import or an earlier nir takes it.
 
     observations: of episodes, or random timesteps of a file, on which both are compared.
@@ -86,7 +86,7 @@ def export_onnx(
     checkpoint: str | None = None,
     state: "State | None" = None,
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a run's policy as ONNX, or one control step of a `.nir` file.
 
     observations: most of an episode, on which file and policy, or float twin, are compared.
@@ -120,7 +120,7 @@ def export_xylo(
     dt: float | None = None,
     reset: "Reset | None" = None,
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a network as the specification of a Xylo, compared on random timesteps.
 
     The remarks say what of the network the specification does not have, or has otherwise.
@@ -140,9 +140,11 @@ def export_xylo(
     return _checked(path, [check], [*program.remarks, *remarks])
 
 
-def _checked(path: Path, checks: Sequence[ParityCheck], remarks: Sequence[str] = ()) -> Exported:
+def _checked(
+    path: Path, checks: Sequence[ParityCheck], remarks: Sequence[str] = ()
+) -> ExportResult:
     facts = {"remarks": list(remarks)}
-    return Exported(path, (), tuple(checks), facts, (f"wrote {path}",), tuple(remarks))
+    return ExportResult(path, (), tuple(checks), facts, (f"wrote {path}",), tuple(remarks))
 
 
 def _is_rewritten(path: Path) -> bool:

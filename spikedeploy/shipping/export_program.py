@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.exporters.to_program import (
     EPISODE,
     EXPECTED,
@@ -68,7 +68,7 @@ def export_program(
     dt: float | None = None,
     reset: Reset | None = None,
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write the kit of a policy, or of a network without a codec, for a chip.
 
     path: of the folder.
@@ -129,7 +129,7 @@ def export_program(
         f"wrote {folder}: {', '.join(kept)}",
         f"next: {folder}/{README}",
     )
-    return Exported(folder, kept, (), facts, lines)
+    return ExportResult(folder, kept, (), facts, lines)
 
 
 def _write_files(

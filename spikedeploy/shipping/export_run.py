@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.exporters.parity import check
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
@@ -39,7 +39,7 @@ def export_run(
     state: "State | None" = None,
     checkpoint: str | None = None,
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a run's policy as a file.
 
     run: run folder, its name under runs/, or "last".
@@ -70,7 +70,7 @@ def export_run(
     checks = check(policy, path, record_observations(folder, observations, checkpoint))
     late = run_record.describe_progress(folder)
     remarks = (f"its training is unfinished: stopped at {late}",) if late else ()
-    return Exported(path, (), tuple(checks), {"kind": kind}, (f"wrote {path}",), remarks)
+    return ExportResult(path, (), tuple(checks), {"kind": kind}, (f"wrote {path}",), remarks)
 
 
 def _same_training(origin: Provenance, path: Path) -> bool:

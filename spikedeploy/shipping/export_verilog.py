@@ -7,7 +7,7 @@ from typing import Any
 
 from spikedeploy import zoo
 from spikedeploy.exporters.c.packaging import MAKEFILE
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.exporters.verilog.bench import clocks_of
 from spikedeploy.exporters.verilog.board_files import board_files
 from spikedeploy.exporters.verilog.boards import Board
@@ -116,7 +116,7 @@ def export_verilog(
     observations: int = 1000,
     env: str | None = None,
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Write a spiking policy as Verilog: a core, a top module, memories, a Makefile, a host.
 
     path: of the folder.
@@ -180,7 +180,7 @@ def export_verilog(
     counted = {"mean": float(clocks.mean()), "most": int(clocks.max()), "of": len(clocks)}
     facts = {"chip": made.chip, "board": on.name, "use": made.record, "clocks": counted}
     facts |= {"recorded": recorded, "remarks": list(made.program.remarks)}
-    return Exported(folder, (*texts, RECORD), (), facts, lines)
+    return ExportResult(folder, (*texts, RECORD), (), facts, lines)
 
 
 def _targets(on: Board, use: Use) -> tuple[str, ...]:

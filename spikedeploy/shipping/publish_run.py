@@ -12,7 +12,7 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import make_entries
 from spikedeploy.console import say
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
@@ -87,7 +87,7 @@ def _has_card(name: str, folder: Path) -> bool:
     return card.is_file() and has_text(card, '"evaluation"')
 
 
-def describe(source: Path, exported: Exported, checkpoint: str | None = None) -> dict[str, Any]:
+def describe(source: Path, exported: ExportResult, checkpoint: str | None = None) -> dict[str, Any]:
     """The card as data: training and parity."""
     origin = run_record.origin(source, checkpoint)
     return {
@@ -122,7 +122,7 @@ def _before(source: Path) -> Iterator[dict[str, Any]]:
             told.add(each["run"])
 
 
-def _export(source: Path, path: Path, control: bool, checkpoint: str | None) -> Exported:
+def _export(source: Path, path: Path, control: bool, checkpoint: str | None) -> ExportResult:
     """The run's policy as a file that passes its parity checks."""
     to = run_record.format_of(source)
     path = path.with_suffix(f".{to}")

@@ -6,7 +6,7 @@ Its head is that of a model card of the Hugging Face hub, so that a run folder c
 from pathlib import Path
 
 from spikedeploy import envs
-from spikedeploy.exporters.check import Exported
+from spikedeploy.exporters.check import ExportResult
 from spikedeploy.outputs import check_output, has_text, mark, no_link
 from spikedeploy.policies import run_record
 from spikedeploy.reports.page import standalone_svg
@@ -41,7 +41,7 @@ def write_run_files(run: Path) -> list[Path]:
 
 def export_card(
     policy: str, path: Path | None = None, *, film: bool = False, force: bool = False
-) -> Exported:
+) -> ExportResult:
     """Make a run folder ready to be uploaded.
 
     policy: run folder, its name under runs/, or "last".
@@ -63,7 +63,7 @@ def export_card(
     filmed = [_filmed(file, run)] if film else []
     (run / CARD).unlink(missing_ok=True)
     names = tuple(str(each) for each in [file, *filmed, *write_run_files(run)])
-    return Exported(run, names, lines=(f"wrote {', '.join(names)}",))
+    return ExportResult(run, names, lines=(f"wrote {', '.join(names)}",))
 
 
 def _filmed(policy: Path, run: Path) -> Path:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Synapses
 from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.copies import Uncopied
+from spikedeploy.runtime.copies import NotCopyable
 from spikedeploy.runtime.emulator.backend import (
     Recording,
     SavedState,
@@ -439,7 +439,7 @@ class EventCounter:
 _IDLE = EVENTS.index("neuron_idle")
 
 
-class NumpyPipeline(Uncopied):
+class NumpyPipeline(NotCopyable):
     """CuBa-LIF layers as a Backend; integers where the chip has them, else float64."""
 
     instead = "Copy the Machine."

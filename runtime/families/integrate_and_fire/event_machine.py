@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import LayerState, Network, StepResult
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.copies import Copied
+from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.emulator.backend import BackendName, Schedule, backend_class
 from spikedeploy.runtime.emulator.interpreter import InterpreterBackend
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, count_events
@@ -33,7 +33,7 @@ from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
 _PART = 1 << 12
 
 
-class EventMachine(Copied):
+class EventMachine(Copyable):
     """A program of a chip that goes event by event, such as speck2f:queue=on.
 
     program: what it runs.

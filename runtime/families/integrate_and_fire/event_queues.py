@@ -252,7 +252,7 @@ def update_by_events(
         if synapses.source == network.input
     )
     counts = presynaptic[name][place]
-    done = {layer.name: _Done.nothing(len(counts), layer.size) for layer in network.layers}
+    done = {layer.name: _LayerCounts.nothing(len(counts), layer.size) for layer in network.layers}
     working = EventNetwork(rules, network, process)
     source = next(e for e in working.layers if e.layer.name == name).layer.synapses[place]
     rank = ranks(window_of(source).source, rules.event_order)
@@ -272,7 +272,7 @@ def update_by_events(
     return {layer: StepResult(d.spikes, d.touched, d.overflows) for layer, d in done.items()}
 
 
-class _Done(NamedTuple):
+class _LayerCounts(NamedTuple):
     """Counts and states of a layer in a timestep, (B, N) each."""
 
     spikes: Integers
@@ -280,7 +280,7 @@ class _Done(NamedTuple):
     overflows: Integers
 
     @classmethod
-    def nothing(cls, batch: int, size: int) -> "_Done":
+    def nothing(cls, batch: int, size: int) -> "_LayerCounts":
         return cls(*(np.zeros((batch, size), np.int64) for _ in range(3)))
 
     def enter(self, copy: int, neurons: Integers, state: EventState, most: int) -> None:
