@@ -1,8 +1,8 @@
 """Disturbances: what goes wrong in a world while a policy acts, at levels 1 to 3 or by a number.
 
 `spikedeploy.envs.make(name, disturb=["noise:2", "payload=0.4"])` puts them on an environment, as
-`--disturb` does. They are drawn per episode from its seed, apart from the draws of the environment,
-which stay what they were. Environments of other people have those of observations and commands. A
+`--disturb` does. They are drawn per episode from its seed; the draws of the environment do not
+change. Foreign environments have those of observations and commands. A
 new kind is a table in disturbances.toml and a change of options or a wrapper here.
 
 Observations of ours are scaled so that each is about +-1, so a number of noise or bias is in units
@@ -42,7 +42,7 @@ Options = dict[str, Any]
 Wrap = Callable[[gymnasium.Env[Any, Any], float], gymnasium.Env[Any, Any]]
 
 HEXAPOD, KART = "hexapod", "kart"  # worlds: folders of envs
-FOREIGN = "foreign"  # environments of other people
+FOREIGN = "foreign"  # foreign environments
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def columns(env: gymnasium.Env[Any, Any], *without: str) -> NDArray[np.intp]:
     """Places (k,) of what sensors measure in an observation, without some entries of it.
 
     Last command, gait phase and the command to follow are the controller's own: nothing that
-    happens to sensors changes them. Of an environment of other people everything is measured.
+    happens to sensors changes them. In a foreign environment every entry is measured.
     """
     entries: dict[str, slice] | None = getattr(env.unwrapped, "OBSERVATION", None)
     if entries is None:
@@ -143,7 +143,7 @@ _measured: dict[str, FloatArray] = {}  # by name and options, as every copy of a
 
 
 def scale(env: gymnasium.Env[Any, Any]) -> FloatArray | float:
-    """The scale (obs,) of an environment of other people; 1 of ours, which are scaled."""
+    """The scale (obs,) of a foreign environment; 1 of ours, which are scaled."""
     world = env.unwrapped
     if not isinstance(world, AdaptedEnv):
         return 1.0
@@ -269,7 +269,7 @@ class LateSensors(SeededWrapper):
 
 
 class LateCommands(SeededWrapper):
-    """Commands that take effect some control steps later; until then there is none."""
+    """Commands that take effect some control steps later; none before."""
 
     STREAM, WHOLE = "command-delay", True
 

@@ -1,8 +1,8 @@
-"""Libraries that draw: chosen before they are imported, and not touched until something is drawn.
+"""Graphics libraries: chosen before they are imported, and loaded when something is drawn.
 
 MuJoCo loads what MUJOCO_GL names when it is imported, and its import fails where that cannot be
-loaded. What draws nothing needs none of it. SDL, which pygame draws with, looks for a desktop and
-complains on stderr where there is none.
+loaded. Programs that draw nothing need neither. SDL, which pygame draws with, looks for a desktop
+and complains on stderr where there is none.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _asked = os.environ.get("MUJOCO_GL")  # by the user; None where it is not set
 
 
 def choose() -> None:
-    """Set the variables of MuJoCo, SDL and pygame, where the user has not, or to what is not there.
+    """Set variables of MuJoCo, SDL and pygame that are unset, or name a missing library.
 
     Without a desktop MuJoCo renders through EGL. A MUJOCO_GL that cannot be loaded is set aside
     until something is drawn, which `explain` then tells.
@@ -77,7 +77,7 @@ def sdl_driver() -> str:
 
 @contextmanager
 def without_renderer() -> Iterator[None]:
-    """Import MuJoCo in this block without what it draws with; `load_renderer` brings it."""
+    """Import MuJoCo in this block without its renderer, which `load_renderer` loads later."""
     before = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:
@@ -90,7 +90,7 @@ def without_renderer() -> Iterator[None]:
 
 
 def check_variable() -> None:
-    """Refuse a MUJOCO_GL that cannot be loaded, before anything is half made with it."""
+    """Refuse a MUJOCO_GL that cannot be loaded, before any object is made with it."""
     if _asked is not None and not _is_usable(_asked.lower().strip()):
         raise explain(ImportError("it cannot be loaded"))
 

@@ -35,10 +35,10 @@ _NOISE_IN_LIGHT = 0.25  # rate of shot noise at full intensity, of that in darkn
 
 @dataclass(frozen=True)
 class CameraParameters:
-    """Parameters of the pixels, with the names that v2e has for them.
+    """Parameters of the pixels, with v2e's names in brackets.
 
     on_threshold: change of ln(light) that makes an ON event (pos_thres)
-    off_threshold: the same of an OFF event (neg_thres)
+    off_threshold: change that makes an OFF event (neg_thres)
     mismatch: standard deviation of the thresholds of pixels (sigma_thres)
     cutoff_hz: bandwidth of the photoreceptor in full light [Hz]; 0 for none (cutoff_hz)
     leak_hz: rate of ON events by leakage, of a pixel [Hz] (leak_rate_hz)
@@ -82,7 +82,7 @@ PRESETS: Mapping[str, CameraParameters] = {
 
 
 def camera_parameters(given: str | Mapping[str, float] | CameraParameters) -> CameraParameters:
-    """The parameters of a preset's name, or of fields by name; others have their defaults."""
+    """Return the parameters of a preset, or the defaults with fields replaced by name."""
     if isinstance(given, CameraParameters):
         return given
     if isinstance(given, str):
@@ -146,8 +146,8 @@ class EventCamera:
     seeds: of the mismatch and noise; one for each camera
     is_log: True if frames are values of lin_log already (v2e's --hdr)
 
-    A frame has luminances from 0 to 255, in any type. The first one after a reset is what pixels
-    remember, so it makes no events.
+    A frame has luminances from 0 to 255, in any type. The first one after a reset sets the memory
+    of the pixels and makes no events.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Environments of other people, as policies expect one: ids of gymnasium, or module:Class.
+"""Environments of other packages, adapted to policies: ids of gymnasium, or module:Class.
 
     observation  Box of any shape and bounds: its numbers in float64, unscaled, as policies have a
                  normaliser; Discrete: one-hot
@@ -64,10 +64,10 @@ _FLAG = "success is True or False, or 0 or 1: give a flag, such as info[{!r}] = 
 
 
 class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
-    """An environment of somebody else.
+    """An environment of another package, adapted to policies.
 
     inner: as gymnasium made it
-    name: as it was asked for
+    name: as requested
     given: options that make it again
     one_hot: whether it observes one of several
     CONTROL_DT: time of a control step [s]; None where it is not known
@@ -417,7 +417,7 @@ def _seen_by_events(world: gymnasium.Env[Any, Any], camera: object) -> EventCame
 
 
 def check_target(name: str) -> None:
-    """Import the module of a target; EnvError where it has not what the target names."""
+    """Import the module of a target; EnvError where it lacks the named object."""
     _registration(name)
 
 

@@ -206,7 +206,7 @@ class EpisodeRecorder:
             terminated=self._terminated,
             truncated=self._truncated or not self._terminated,
             info={
-                # infos of other people's environments may lack a number at some steps
+                # infos of foreign environments may lack a number at some steps
                 name: np.array([numbers.get(name, np.nan) for numbers in self._infos])
                 for name in self._infos[-1]
             },

@@ -1,4 +1,4 @@
-"""Exporters: a trained policy or a compiled program in, files out; and the proof that both agree.
+"""Exporters: a trained policy or a compiled program in, files out; and checks that both agree.
 
 The table of formats is spikedeploy.shipping.export.EXPORTERS.
 
@@ -11,5 +11,5 @@ to_program    a compiled program as plain files, and what is expected of a chip;
 kit/          scripts for the chips' tools, copied as they are, and imported by nothing
 to_xylo       a compiled program as a specification for Rockpool
 c/            a compiled program as C99 for microcontrollers; takes no torch
-verilog/      a compiled program as Verilog for FPGAs, likewise
+verilog/      a compiled program as Verilog for FPGAs; takes no torch
 """

@@ -23,7 +23,7 @@ Operand: TypeAlias = Union["Value", ArrayLike]
 
 @dataclass(frozen=True)
 class Value:
-    """A result of a graph; what is not one becomes a constant beside it."""
+    """A result of a graph; other operands become constants of the graph."""
 
     graph: "OnnxGraph"
     name: str
@@ -85,7 +85,7 @@ class OnnxGraph:
         return found
 
     def node(self, operator: str, *operands: Operand, name: str = "", **attributes: Any) -> Value:  # noqa: ANN401
-        """Add a node; return its output. An operand "" is one that is left out."""
+        """Add a node; return its output. An operand "" is omitted."""
         inputs = [self._name(each) for each in operands]
         output = name or f"n{len(self._nodes)}"
         self._nodes.append(helper.make_node(operator, inputs, [output], output, **attributes))

@@ -20,11 +20,11 @@ def environment(package: str) -> Environment:
 
 
 def render(package: str, template: str, **values: object) -> str:
-    """The text of a template, in which what is left out leaves no empty lines."""
+    """Render a template; omitted parts leave no empty lines."""
     return re.sub(r"\n{3,}", "\n\n", environment(package).get_template(template).render(values))
 
 
 def one_line(words: str) -> str:
-    """Words that can stand in a comment of C or Verilog: one line of ASCII."""
+    """Return words that fit a comment of C or Verilog: one line of ASCII."""
     known = "".join(c if c.isalnum() or c in " ._:=,+-()/" else "?" for c in words)
     return known.encode("ascii", "replace").decode()

@@ -1,6 +1,6 @@
 """A float policy as one ONNX file, with its normaliser and its provenance.
 
-What spikes is written by spiking_onnx, with its states.
+Spiking policies are written by spiking_onnx, with their states.
 
     observation (B, obs) -> normalise, clip -> Gemm, Relu ... -> Gemm, Tanh -> action
                                                              -> Gemm -> logits
@@ -77,7 +77,7 @@ def _layers(policy: _Float) -> list[tuple[Tensor, Tensor]]:
 
 
 def _add_policy(graph: OnnxGraph, policy: _Float) -> None:
-    """Add the normaliser, the layers, the path past them, and the output."""
+    """Add the normaliser, the layers, the skip connection, and the output."""
     seen = _add_normaliser(graph, policy)
     layers = _layers(policy)
     *others, last = layers

@@ -161,7 +161,7 @@ def chip_run(program: Program, rows: int, state: State = "kept") -> ChipRun:
 
 
 def check_delays(program: Program, tool: ChipTool) -> None:
-    """Refuse delays that the tool has not."""
+    """Refuse delays that the tool lacks."""
     for layer in program.layers:
         for synapses in layer.synapses:
             if tool.delay and synapses.delay != tool.delay:

@@ -33,8 +33,9 @@ def suffix(path: Path | str) -> str:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which replaces it at the end of the block.
 
-    Its folder is created. A link is followed, and stays. What is no plain file is refused: a device
-    would be replaced. Temporary files of it that killed processes of this machine left are deleted.
+    Its folder is created. A link is followed, and stays. Anything but a plain file is refused: a
+    device would be replaced. Temporary files that killed processes of this machine left of it are
+    deleted.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
@@ -67,7 +68,7 @@ def _sweep(target: Path) -> None:
 def _prefix(target: Path) -> str:
     """Return the prefix of temporary files of a target that processes of this machine write.
 
-    Of the processes of another nothing is known here.
+    Processes of other machines cannot be checked.
     """
     machine = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
     return f".{target.name}.{machine}-"

@@ -1,7 +1,7 @@
 """The float twin: a NIR graph computed in floating point under its convention.
 
-The reference that every compiled program is compared with. It computes all of NIR, also what no
-chip can hold: the nodes in order, each on the sum of what its edges deliver. A node is called with
+The reference that every compiled program is compared with. It computes all of NIR, including
+networks that fit no chip: the nodes in order, each on the sum of its inputs. A node is called with
 x (B, T, *shape), T timesteps at once, which may be one. Neurons and delays go on from the state of
 the call before; the other kinds have none.
 

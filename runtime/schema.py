@@ -24,7 +24,7 @@ def validate(kind: type[T], data: object, source: object, remedy: str = "") -> T
 
 
 def _sentence(loc: tuple[int | str, ...], msg: str, input: Any, **_: object) -> str:  # noqa: ANN401
-    """One of pydantic's errors as `a.b: what is wrong, got x`."""
+    """Format one of pydantic's errors as `a.b: what is wrong, got x`."""
     what = msg.removeprefix("Value error, ")
     # one of values that do not go together has no place, and names what it found itself
     return f"{'.'.join(map(str, loc))}: {what}, got {reprlib.repr(input)}" if loc else what

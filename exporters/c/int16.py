@@ -265,7 +265,7 @@ class Int16Player:
 
 
 def int16_codec(plan: Plan) -> Int16Codec | str:
-    """The codec of a plan in 16-bit integers, or why there is none."""
+    """Return the codec of a plan in 16-bit integers, or the reason why there is none."""
     codec = plan.codec
     if codec is None or not isinstance(codec.encoder, DeltaEncoder):
         return "it is written for delta codes"

@@ -2,8 +2,8 @@
 
 Each layer is  acc = bias + sum_i x_i (w_i 2**k_i)  in 32 bits, with x of 16 bits, w of 8 bits, and
 for each input a power of two k_i >= 0 that makes the most of its eight bits. The
-normaliser is folded into the first layer: its clip is that of the observations, which whoever
-converts them keeps (`Int16Observations`).
+normaliser is folded into the first layer; the caller that converts observations applies its clip
+(`Int16Observations`).
 """
 
 from dataclasses import dataclass
@@ -86,7 +86,7 @@ class Int8Layer:
         return [range(first, end) for first, end in pairwise(ends)]
 
     def by_block(self, values: Integers) -> Integers:
-        """Values (..., out) of one block after another."""
+        """Return values (..., out) of one block after another."""
         return np.concatenate([values[:, each.start : each.stop].ravel() for each in self.blocks])
 
     @property

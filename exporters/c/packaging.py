@@ -1,4 +1,4 @@
-"""The files of an export: what stands around the sources for a build, and how all are written."""
+"""The files of an export: those around the sources that a build needs, and writing them all."""
 
 import json
 from collections.abc import Mapping
@@ -94,8 +94,8 @@ def int16_files(
 def write_texts(texts: Mapping[str, str], folder: Path, record: str = RECORD) -> None:
     """Write files by name into a folder, some of them into folders in it: all, or none.
 
-    They get their names when all are whole: first the record, which says whose they are, and last
-    the Makefile, which is away meanwhile, so that no make builds a mixture of two exports.
+    They get their names when all are complete: first the record, which names their owner, and last
+    the Makefile, which is absent meanwhile, so that no make builds a mixture of two exports.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:  # which ends in reverse order

@@ -120,6 +120,6 @@ def check_prefix(prefix: str) -> None:
 
 @cache
 def _reserved() -> dict[str, str]:
-    """Names that mean something else, and what."""
+    """Map reserved names to their meaning."""
     table = read_toml(Path(__file__).with_name("reserved.toml"))
     return {name: what for what, names in table.items() for name in names.split()}

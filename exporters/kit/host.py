@@ -1,10 +1,10 @@
 """Host side of this kit; every run_*.py uses it. NumPy only.
 
 A chip of run_*.py is a class with `run(rows)`: rows (T, M) of input spikes in, and out for each
-layer {"current" | "membrane" | "spikes": (T, N)} after each timestep; states go on from call to
+layer {"current" | "membrane" | "spikes": (T, N)} after each timestep; states continue from call to
 call. Whatever it cannot measure it leaves out. `reset()` makes all states zero, spikes that are
 under way included: it is called between control steps where program.json has the state "reset".
-`stop()` lets go of the chip.
+`stop()` releases the chip.
 """
 
 import argparse
@@ -27,7 +27,7 @@ HERE = Path(__file__).resolve().parent
 
 @contextmanager
 def needs(what):
-    """Say in a sentence what to install where an import fails."""
+    """Name the package to install where an import fails."""
     try:
         yield
     except ImportError as error:
@@ -154,7 +154,7 @@ def report(recorded, expected, steps):
 
 
 class Codec:
-    """Observation to rows of spikes, and what the chip did to an action."""
+    """Map an observation to rows of spikes, and the chip's output to an action."""
 
     def __init__(self, program):
         host = program["host"]
@@ -174,7 +174,7 @@ class Codec:
         return rows
 
     def decode(self, found):
-        """The action of what the chip did in the timesteps of a control step."""
+        """Return the action for the chip's output in the timesteps of a control step."""
         tables = [np.asarray(found[term["layer"]][term["reads"]]) for term in self.terms]
         firsts = [term["from"] for term in self.terms]
         windows = zip(tables, firsts, strict=True)

@@ -40,7 +40,7 @@ class Encoder:
         return self._kind(x).reshape(self._timesteps, -1).astype(np.int64)
 
     def _delta(self, x):
-        """Signed events of what has moved since the last event."""
+        """Return signed events of observations that moved since their last event."""
         step = np.array([np.inf if s is None else s for s in self._encoder["step"]])
         most, threshold = self._encoder["most"], self._encoder["threshold"]
         with np.errstate(over="ignore"):
@@ -139,7 +139,7 @@ class Decoder:
         ]
 
     def __call__(self, values):
-        """The action of what each term's layer did: (T, N) of each timestep of an inference."""
+        """Return the action for each term's layer output (T, N) in an inference."""
         count = len(values[0])
         output = np.empty((count, 1, len(self._bias)))
         output[...] = self._bias

@@ -65,12 +65,12 @@ class NengoChip:
         return found
 
     def reset(self):
-        """Begin afresh: neither the emulator nor HardwareInterface can zero states in a run."""
+        """Start anew: neither the emulator nor HardwareInterface can zero states in a run."""
         self.stop()
         self.__init__(self.program, self.arguments)
 
     def stop(self):
-        """Let go of the board."""
+        """Release the board."""
         self.machine.close()
 
 

@@ -13,7 +13,7 @@ text          contents of memories and comments as Verilog has them
 boards        FPGA, clock and pins of boards; boards.toml
 resources     cells and memories that a core takes, predicted
 board_files   files around a core on a board: top module, UART, constraints, Makefile, host
-tools         programs that build and simulate, found by themselves
+tools         programs that build and simulate, found automatically
 templates/    policy_core.v, bench.v, sim_main.cpp: the core and its simulation; uart.v, link.v,
               top.v: its way to a host; host.py and link.py: the host; Makefile, *.py around them
 """

@@ -136,7 +136,7 @@ def _tables() -> tuple[dict[str, Device], dict[str, Board]]:
 
 
 def board_names() -> tuple[str, ...]:
-    """The boards that there are."""
+    """Names of the known boards."""
     return tuple(_tables()[1])
 
 

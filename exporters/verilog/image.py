@@ -48,7 +48,7 @@ class Output:
 
 @dataclass(frozen=True)
 class NeuronField:
-    """A number of each neuron.
+    """A number for each neuron, and where it is stored.
 
     bits: as wide as it gets.
     values: (N,) of the neurons; where None it does not matter.
@@ -512,7 +512,7 @@ def _first(rows: Iterable[Row]) -> int:
 
 
 def _with_gaps(row: Row, most: int) -> Row:
-    """Distance to the synapse before, and weight of each; fillers where distances are too wide."""
+    """Return distance to the previous synapse and weight of each; fillers where it is too wide."""
     found, at = [], 0
     for target, weight in row:
         while target - at > most:

@@ -144,7 +144,7 @@ def memories_of(image: CoreImage) -> tuple[CoreMemory, ...]:
 
 
 def _varying_bits(words: Sequence[int]) -> int:
-    """Bits that are not the same in all words, which take no memory."""
+    """Count the bits that differ between words; constant bits take no memory."""
     varying = 0
     for word in words:
         varying |= word ^ words[0]

@@ -1,4 +1,4 @@
-"""Tools that build and simulate an export: Debian's, or YoWASP's from PyPI; found by themselves."""
+"""Tools that build and simulate an export: Debian's, or YoWASP's from PyPI, found automatically."""
 
 import shutil
 import sys

@@ -1,7 +1,7 @@
 """Calibration: scales and thresholds that are chosen on recorded inputs.
 
-Layer by layer, in the order of the spikes, so that each is judged on the presynaptic spikes that it
-will have on the chip. What was chosen on one recording says nothing about another: measure
+Layers are calibrated in the order of the spikes, so that each is judged on the presynaptic spikes
+that it will have on the chip. A choice made on one recording proves nothing about others: measure
 on a second one.
 """
 
@@ -71,9 +71,9 @@ def tune_to_float(
     """The clip ratio, then the factor of thresholds, that bring each layer nearest to float.
 
     raster: (B, T, M).
-    tau: [timesteps] of the distance of van Rossum, which is what is made small.
+    tau: [timesteps] of the distance of van Rossum, which is minimised.
     episodes: as in `drift`.
-    possible: candidates of which this is not true are left out.
+    possible: predicate; candidates that do not satisfy it are left out.
     """
     twin, trains = activity(artifact, None, raster, episodes), trains_of(artifact, raster, episodes)
 
@@ -134,7 +134,7 @@ def _with_headroom(
 
 
 def _up_to(program: Program, name: str) -> Program:
-    """The program without what comes after a layer, which costs time and changes nothing."""
+    """Return the program up to a layer; later ones cost time and change nothing."""
     if not program.feed_forward:
         return program
     place = [layer.name for layer in program.layers].index(name)

@@ -1,8 +1,8 @@
-"""A tuned policy as an artifact: what calibration chose, in the numbers of the network itself.
+"""A tuned policy as an artifact: the choices of calibration, applied to the network's numbers.
 
 A clip ratio above 1 cuts weights and biases where the chip's largest weight is, and a threshold's
 factor multiplies it, so that untuned quantisation of the changed network gives the same integers.
-A ratio below 1 leaves headroom, which no number of a network can say: scales follow its largest.
+A ratio below 1 leaves headroom, which no weight can express: scales follow the largest.
 The integers are compared, so that what is written computes what was measured, or is not written.
 """
 
@@ -35,12 +35,12 @@ _ATTEMPTS = ((None, 1.0), (np.float64, 1.0), (np.float64, 1 - 2.0**-50))
 def tuned_artifact(
     artifact: Artifact, on: Chip, called: str, quantisation: Quantisation
 ) -> Artifact | None:
-    """The artifact that untuned quantisation makes what `quantisation` makes of this one.
+    """Return the artifact whose untuned quantisation equals `quantisation` of this one.
 
-    called: the chip with its options, for what the artifact says of itself.
+    called: name of the chip with its options, for the artifact's description.
 
-    None where no artifact can say it: a ratio below 1, weights that are clipped but are not those
-    of one map onto one layer, numbers that another rounding would move.
+    None where no artifact can express it: a ratio below 1, clipped weights that are not those of
+    one map onto one layer, numbers that another rounding would move.
     """
     if any(tuning.clip_ratio < 1 for tuning in quantisation.tuned.values()):
         return None
@@ -80,7 +80,7 @@ def _tune(
         return
     threshold = nodes[layer.name].v_threshold
     raised = _as_stored(threshold.astype(np.float64) * tuning.threshold, threshold, precision)
-    # made anew as a reader makes it: nir gives w_in the type of the thresholds
+    # built again as a reader makes it: nir gives w_in the type of the thresholds
     nodes[layer.name] = replace(nodes[layer.name], v_threshold=raised)
     if tuning.clip_ratio <= 1:
         return
@@ -106,7 +106,7 @@ def _tune(
 def _as_stored(
     changed: Floats, values: NDArray[Any], precision: type[np.float64] | None
 ) -> NDArray[Any]:
-    """The changed numbers in a precision, or in their own; as they were where they are the same."""
+    """Return changed numbers in a precision, or in their own; unchanged ones as they were."""
     if np.array_equal(changed, values):
         return values
     return changed.astype(precision or values.dtype)

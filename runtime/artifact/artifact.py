@@ -1,4 +1,4 @@
-"""The artifact: one `.nir` file that is all a robot needs; the only reader and writer of `.nir`."""
+"""The artifact: one `.nir` file with all a robot needs; the only reader and writer of `.nir`."""
 
 import copy
 import hashlib
@@ -60,12 +60,12 @@ _KEY = "spikedeploy"
 class Artifact:
     """A network and everything that NIR leaves open; ArtifactError where they are inconsistent.
 
-    graph: standard NIR nodes; nested graphs are flattened. Which tools compute the same from
-        them: results/interop.md.
+    graph: standard NIR nodes; nested graphs are flattened. results/interop.md lists the tools that
+        compute the same from them.
     codec: observation to spikes and output to action; None in files of other tools.
     convention: how the graph is discretised; inferred or given for files of other tools.
     provenance: where the policy comes from; None in files of other tools.
-    sigma_delta: names of nodes `I` that are sigma-delta neurons, and what NIR cannot say of them.
+    sigma_delta: sigma-delta neurons by the name of their node `I`: what NIR cannot express.
     tuned: what calibration changed since the policy was exported, in words; empty where nothing.
     neurons: the difference equation of each node of neurons, by name.
     """
@@ -225,7 +225,7 @@ def interpret(graph: nir.NIRGraph, options: Mapping[str, Any]) -> Artifact:
 
 
 def for_importer(artifact: Artifact, tool: str) -> Artifact:
-    """The artifact that a tool reads as this one's network; ConventionError where it cannot."""
+    """Return the artifact that a tool reads as this network; ConventionError where it cannot."""
     if artifact.sigma_delta:
         raise ConventionError(
             f"--for {tool}: it would sum up what sigma-delta neurons rectify and round. Without "

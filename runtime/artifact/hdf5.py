@@ -1,7 +1,7 @@
 """The HDF5 container of a NIR file: written for a release of `nir`, and read without trusting it.
 
-`nir.read` checks inner graphs when told not to, and does not say which node it cannot make. So the
-container is checked before anything in it is read, and the graph is read node by node. HDF5 can
+`nir.read` checks inner graphs even when told not to, and does not name the node it cannot build. So
+the container is checked before anything in it is read, and the graph is read node by node. HDF5 can
 link groups in circles, keep numbers in other files, claim arrays that no memory holds, and unpack a
 thousand zeros from a byte.
 """
@@ -56,7 +56,7 @@ def write_graph(path: Path, graph: nir.NIRGraph, older: str | None = None) -> No
 
 
 def read_graph(path: Path) -> nir.NIRGraph:
-    """The graph in a HDF5 file, as written; ArtifactError where the file holds none.
+    """Read the graph in an HDF5 file as written; ArtifactError where the file holds none.
 
     Whether the graph can be computed is for runtime.graph.validate to check.
     """
@@ -124,7 +124,7 @@ def _node(tree: object, path: str) -> nir.NIRNode:
 
 
 def _with_shapes(kind: str, tree: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a node, those with one number for all of its values as the others are.
+    """Return the fields of a node, expanding those with one number for all values.
 
     Tools write the parameters of neurons as one number, or some of them.
     """

@@ -112,7 +112,7 @@ class ArithmeticDefaults(Protocol):
             refuse_convention(convention, chip_name)
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
-        """Refuse choices that the arithmetic does not have."""
+        """Refuse choices that the arithmetic lacks."""
         if quantisation.weight_shift:
             raise ConfigError(
                 f"weight_shift is {quantisation.weight_shift}: {chip_name} has no shift. Leave it "

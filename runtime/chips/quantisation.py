@@ -79,7 +79,7 @@ class Quantisation:
             )
 
     def only(self, chip: str, *possible: str) -> None:
-        """Refuse choices that a chip does not have."""
+        """Refuse choices that a chip lacks."""
         for option in CHOICES:
             found = getattr(self, option)
             if option not in possible and found != getattr(PLAIN, option):

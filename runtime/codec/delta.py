@@ -1,4 +1,4 @@
-"""Delta coding (send-on-delta): a number becomes events that say how far it has moved.
+"""Delta coding (send-on-delta): a number becomes events that encode how far it has moved.
 
 All of it is integer arithmetic after one rounding, so that float64, float32 and fixed point send
 the same events unless 256 x / step lies within rounding error of halfway between two integers.

@@ -1,4 +1,4 @@
-"""Event counts: what an event camera saw in a control step becomes spikes, one pixel a neuron."""
+"""Event counts: events of a camera in a control step become spikes, one neuron for each pixel."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -19,7 +19,7 @@ class EventEncoder(Encoder):
 
     size: obs, counts of an observation, polarity after polarity.
     polarities: C of them, 1 or 2.
-    most: K, the largest count that is told from those below it.
+    most: K, the largest count that is distinguished.
     code: "channels": K channels a polarity, of which the k-th spikes where n >= k, in the first
         timestep; with K = 1 an event, or several, is one spike. "spread": one channel, which spikes
         in the first n timesteps. "counts": one channel, n spikes in the first timestep, for chips

@@ -280,7 +280,7 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
 
 
 def _rows(artifact: Artifact, program: Program) -> int | None:
-    """Rows of an inference; None where unknown, or where states go on from one to the next."""
+    """Rows of an inference; None where unknown, or where states continue from one to the next."""
     reset = artifact.convention.state == "reset"
     return program.rows(artifact.codec.timesteps) if artifact.codec is not None and reset else None
 

@@ -1,8 +1,8 @@
-"""Lowering: a graph as populations of neurons, and the projections that the nodes between come to.
+"""Lowering: a graph as populations of neurons, and the projections between them.
 
-One walk along any sound graph, so that every node of a network that fits nowhere can still be told
-why: of the synapses of a projection it counts what leaves each source and reaches each target, and
-names the chain of nodes that they come from. compiler.synapses makes weights of such chains.
+It works for any valid graph, so that a report can name the obstacle at every node even if the
+network fits no chip. For each projection it counts the synapses by source and by target, and names
+the chain of nodes that they come from. compiler.synapses computes the weights of such chains.
 """
 
 import math
@@ -48,8 +48,8 @@ class Projection:
     biased: whether a map between them adds something in every timestep.
     delayed: whether a Delay is between them.
     late: whether the way closes a loop.
-    estimated: whether the counts are the most that there can be: two maps in a row, whose product
-        is not made.
+    estimated: whether the counts are upper bounds: the product of two successive maps is not
+        computed.
     """
 
     source: str
@@ -196,7 +196,7 @@ class Population:
 
     @cached_property
     def fan_in(self) -> int:
-        """Synapses of the neuron that has most; no more than that, where ways are many."""
+        """Largest number of synapses of a neuron; an upper bound where paths are many."""
         return sum(int(projection.into.max()) for projection in self.presynaptic)
 
     @cached_property
@@ -242,7 +242,7 @@ class Lowering:
     host: tuple[str, ...] = ()
 
     def on_chip(self, membranes: bool, graded: Collection[str] = ()) -> "Lowering":
-        """Leave to the host the maps behind the last neurons, and neurons that it integrates.
+        """Assign to the host the maps behind the last neurons, and the neurons that it integrates.
 
         membranes: whether they can leave the chip; else the host integrates neurons without a
             threshold that only outputs are reached from.
@@ -373,7 +373,7 @@ def _onto(target: str, ways: dict[str, list[Projection]]) -> tuple[Projection, .
 
 
 def _different(node: nir.NIRNode, fields: tuple[str, ...]) -> int:
-    """Different sets of these parameters among the neurons of a node."""
+    """Count the different sets of these parameters among the neurons of a node."""
     code = np.zeros(1, np.int64)
     for values in (np.ravel(getattr(node, field)) for field in fields if hasattr(node, field)):
         _, place = np.unique(values, return_inverse=True)

@@ -2,8 +2,8 @@
 
 Populations take cores one after another, each its own. A population that is too large for a core
 is divided into blocks of neighbouring neurons, as large as each other but for the last; of all
-divisions that fit it takes the one into the fewest cores. Utilisation is what is taken of what
-there is.
+divisions that fit it takes the one into the fewest cores. Utilisation is the share of a resource
+that is used.
 
 Loihi's synapses lie in words of 64 bits: the synapses of an axon in blocks of up to 64, each block
 with 10 bits of its own and rounded up to whole words (nengo-loihi 1.1.0, bits_per_axon). A sparse
@@ -143,7 +143,7 @@ def _unplaced(network: Lowering, population: Population) -> Placement:
 def _source(
     name: str, kind: str, neurons: int, cores: int, targets: int, fan_out: int
 ) -> Placement:
-    """Neurons without synapses on so many cores, whose axons go to so many others."""
+    """Place neurons without synapses on some cores, with axons to some others."""
     block = -(-neurons // cores)
     axons = block * targets
     return Placement(name, kind, neurons, fan_out, block, cores=cores, memory=0, axons_out=axons)
@@ -168,7 +168,7 @@ def _inputs(network: Lowering, limits: Limits, cores: Mapping[str, int]) -> Iter
 
 
 def _divide(network: Lowering, limits: Limits, loads: Mapping[str, "Loads"]) -> dict[str, int]:
-    """The block of each population; a core has axons for so many target cores of its neurons."""
+    """Choose the block of each population, given the target cores that a core can reach."""
     blocks = {p.name: p.size for p in network.populations}
     cores = dict.fromkeys(blocks, 1)
     for _ in range(len(blocks) + 2):
@@ -192,7 +192,7 @@ def _target_cores(network: Lowering, name: str, cores: Mapping[str, int]) -> int
 
 
 def _block(population: Population, limits: Limits, loads: "Loads", targets: int) -> int:
-    """Neurons of a core when it takes the fewest cores; 1 where nothing fits."""
+    """Return the neurons of a core for which the fewest cores are used; 1 where nothing fits."""
     most = min(population.size, limits.neurons_per_core or population.size)
     if limits.axons_out is not None and targets:
         most = min(most, limits.axons_out // targets)

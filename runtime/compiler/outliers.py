@@ -1,4 +1,4 @@
-"""Outliers: layers in which one large number leaves all others few of the chip's bits.
+"""Outliers: layers in which one large number leaves few bits of the chip for all others.
 
 The scale of a layer makes its largest weight, bias or threshold the largest that fits. Where one
 neuron, or the synapses of one source neuron, have numbers many times those of the others, these are
@@ -159,7 +159,7 @@ def _fills(arithmetic: Arithmetic, layer: Layer) -> dict[str, Floats]:
 
 
 def _divided(layer: Layer, reach: Floats) -> Layer:
-    """The layer with all neurons as large as each other, which float neurons do not tell apart."""
+    """Return the layer with all neurons scaled to one size, which changes nothing in float."""
     with np.errstate(over="ignore"):  # what is so small that no float is its factor is as 0
         factors = np.divide(reach.max(), reach, out=np.ones(layer.size), where=reach > 0)
     factors[np.isinf(factors)] = 1.0
@@ -171,7 +171,7 @@ def _divided(layer: Layer, reach: Floats) -> Layer:
 
 
 def _median_error(arithmetic: Arithmetic, before: Layer, after: Layer) -> float:
-    """The part of itself by which rounding changes the median of the weights that are not 0."""
+    """Return the median relative error that rounding causes in the non-zero weights."""
     # state units of a weight's unit, where the chip has a register of a finer kind for states
     unit = float(1 << getattr(arithmetic, "mantissa_shift", 0))
     parts = []

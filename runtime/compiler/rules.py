@@ -1,4 +1,4 @@
-"""The design rules: everything that a network must keep to fit on a chip, and what it found.
+"""The design rules: limits that a network must keep to fit on a chip, and their results.
 
 A rule is a row of RULES. Most measure a number and compare it with a limit of the chip; the others
 are functions of a network that is placed on a chip, which yield their results.
@@ -99,7 +99,7 @@ class RuleResult:
     found, limit: numbers in `unit`, or words; the limit is the most, or what is possible.
     unit: what is counted.
     remedy: what to do where it fails.
-    note: what a reader must know to judge it.
+    note: context that is needed to judge it.
     """
 
     rule: str
@@ -320,7 +320,7 @@ def _kernel(design: PlacedNetwork) -> Results:
 
 
 def _layer_order(design: PlacedNetwork) -> Results:
-    """Pools, then one map with weights, then neurons: what a core does with what it receives."""
+    """A core applies pools, then one map with weights, then neurons, in this order."""
     nodes = design.artifact.graph.nodes
     most = "pools, then one convolution or linear map"
     for name, maps in design.projections:
@@ -581,7 +581,7 @@ def _cores(design: PlacedNetwork) -> Results:
 
 
 def _with_one_list(design: PlacedNetwork) -> str:
-    """Words on what the other way to store signs would take."""
+    """Describe what the other way to store signs would take."""
     if (one_list := design.chip.arithmetic.with_one_list()) is None:
         return ""
     found = map_to_cores(design.network, replace(design.chip, arithmetic=one_list)).cores

@@ -1,4 +1,4 @@
-"""Synapses: the weights that the nodes between neurons come to, of a lowered network.
+"""Synapses: the weights that the nodes between neurons amount to, in a lowered network.
 
 A chain of nodes that has weights of its own is at most a pool without overlap, then at most one map
 (a convolution, another pool, or an affine map), and scales, delays and changes of shape around
@@ -6,9 +6,9 @@ them. An affine map comes to a matrix, or behind a pool to a kernel as large as 
 others come to a kernel and its window. A weight is what a unit impulse of its source brings to its
 target, in the order in which the chain multiplies.
 
-Of anything else, two maps in a row or several ways with one lag, a matrix is found, of limited
-size: what lies between neurons is linear but for its biases, so what it does to a unit impulse of a
-source is a row of its matrix, and what it does to nothing is its bias.
+For anything else, such as two maps in a row or several paths with one lag, a matrix of limited size
+is computed. The nodes between neurons are affine: the response to a unit impulse of a source is a
+row of the matrix, and the response to zero is the bias.
 
 Neurons without a threshold are readouts: an Output alone may receive their membranes.
 """
@@ -250,7 +250,7 @@ class _Weights:
         return np.asarray(parts.get(0, nothing).reshape(-1))
 
     def _check_size(self, target: str, size: int) -> None:
-        """Refuse so many more bytes of weights onto a target where they are too many."""
+        """Refuse more bytes of weights onto a target than the limit."""
         if (found := self._bytes + size) > MAX_BYTES:
             raise RuleError(
                 f"rule matrix: node {target!r}: the weights take {found} bytes by here; at "
@@ -285,7 +285,7 @@ class _Weights:
             yield first, rows.reshape(len(rows), *shape_of(self.graph.nodes[source]))
 
     def _respond(self, block: Block, start: Mapping[str, Parts], biased: bool = False) -> Parts:
-        """The input of the target when the sources put out `start`."""
+        """Return the input of the target when the sources send `start`."""
         self._visited += sum(len(self._sources[name]) for name in (*block.names, block.target))
         if self._visited > _MAX_VISITS:
             raise RuleError(

@@ -1,7 +1,7 @@
 """Dialects: the meaning of a NIR file in other tools.
 
 NIR leaves dt, reset, integrator and delays open. Each tool fills them in on its own, ignores some
-parameters, and may write other ones than it reads: Norse misreads its own files.
+parameters, and may write others than it reads: Norse misreads its own files.
 
 dialect          what is known of a tool, and the steps that tools share
 tools            Lava, Nengo, Norse, Rockpool, sinabs, SpikingJelly; the tables of all tools

@@ -62,7 +62,7 @@ class Assumption(NamedTuple):
     """An option that the tool's files leave open.
 
     choices: its values, the tool's default first.
-    words: the default in words, and when to choose another.
+    words: description of the default, and when to choose another.
     """
 
     choices: tuple[str | int, ...]
@@ -83,8 +83,8 @@ class Writer:
     tolerance: relative, within which nodes agree on dt.
     contradiction: why no other dt than the stated one can be given.
     fixed: options of Convention that are the same in all its files.
-    open: options that its files do not say.
-    always: what else its files do not say, and no option chooses.
+    open: options that its files do not state.
+    always: further assumptions on its files, which no option changes.
     wire: (nodes, edges, convention) to what the options mean for these nodes, and what the tool
         has between and in them, changed in place.
     finite: a node to one that says the same without infinite numbers.
@@ -183,7 +183,7 @@ def are_integrators(nodes: Nodes, mixture: str) -> bool:
 def is_close(
     found: NDArray[Any], wanted: Values | float, relative: float = ROUNDING[np.float32]
 ) -> NDArray[np.bool_]:
-    """True where values agree but for the rounding of float32."""
+    """Return True where values agree up to the rounding of float32."""
     return np.asarray(np.isclose(float64(found), wanted, rtol=relative, atol=1e-12))
 
 

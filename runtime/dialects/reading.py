@@ -1,4 +1,4 @@
-"""A NIR file as another tool reads it, or as the tool that wrote it means it."""
+"""A NIR file interpreted as another tool reads it, or as the tool that wrote it means it."""
 
 import difflib
 from collections.abc import Mapping

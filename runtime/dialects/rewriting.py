@@ -11,7 +11,7 @@ has the same spikes, and tau' = dt'/(1 - decay) gives the same decay factors at 
 s = gain of the tool / gain leaves all weights as they are; only where a tool wants one threshold
 for all neurons of a layer, and they differ, weights are scaled. A constant `leak` of a LIF or IF
 moves into the bias before it. A threshold that is to be exceeded becomes the next float32, for
-tools where neurons spike when they reach it, and the other way round.
+tools where neurons spike when they reach it, and the reverse.
 
 What comes out is read as the tool would (`read_like`), and compared with the network.
 """

@@ -79,7 +79,7 @@ class Schedule:
     timesteps: T of a window.
     steps: chip timesteps that a window stands for.
     delays: rows by which the synapses of each layer deliver late.
-    kept: whether states go on from window to window.
+    kept: whether states continue from window to window.
     trace: whether `recordings` will be asked for.
     counting: whether `report` will be.
     """

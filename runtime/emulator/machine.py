@@ -36,7 +36,7 @@ class Machine(Copyable):
     """A running chip: spikes in, output of the readout or spikes out.
 
     Use `infer` for whole inferences, or `step` for one chip timestep after another. Copies go on
-    from where the machine is; of one whose backend a function makes there are none.
+    from the present state; a machine whose backend a function makes cannot be copied.
 
     program: what it runs.
     batch: B, copies of the network that run side by side; None takes any number, which has to stay
@@ -150,7 +150,7 @@ class Machine(Copyable):
         return out
 
     def seed(self, seeds: Sequence[int]) -> None:
-        """Start the chance of upsets anew, for the episode of each robot (B,)."""
+        """Seed the upsets anew for the episode of each robot (B,)."""
         self._seeds = tuple(seeds)
         if isinstance(backend := self._backends.get(len(seeds)), InterpreterBackend):
             backend.seed(self._seeds)

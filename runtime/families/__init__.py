@@ -1,6 +1,6 @@
 """The families of chips: for each arithmetic its update, its quantiser and its kernels.
 
-Nothing outside imports them: the table runtime.chips.CHIPS says where a chip stands, and its
+Nothing outside imports them: the table runtime.chips.CHIPS gives the module of a chip, and its
 arithmetic names the backends that can run it. A new family is a file or a folder here.
 
 cuba                  CuBa-LIF neurons: Loihi 1 and 2, SpiNNaker2, free widths, and no chip at all

@@ -286,7 +286,7 @@ class NumbaPipeline(NotCopyable, ABC):
         return {} if self._fresh else {name: each.copy() for name, each in self._kept().items()}
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from there; T may be another."""
+        """Continue from there; T may be another."""
         self._fresh = not saved
         for name, values in saved.items():
             self._kept()[name][...] = values

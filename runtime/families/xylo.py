@@ -177,12 +177,12 @@ class XyloArithmetic(ArithmeticDefaults):
     # from floats to the chip
 
     def check_convention(self, convention: Convention, chip_name: str) -> None:
-        """Refuse a floor; how often neurons spike is the chip's own, and a remark."""
+        """Refuse a floor; the number of spikes per timestep is the chip's, which is remarked."""
         if convention.floor != "none":
             refuse_convention(convention, chip_name)
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
-        """Refuse choices that Xylo does not have."""
+        """Refuse choices that Xylo lacks."""
         quantisation.only(chip_name, *self.choices)
         if not 0 <= (shift := quantisation.weight_shift) <= self.shift_max:
             raise ConfigError(f"weight_shift is {shift}; choose 0 to {self.shift_max} bits.")
@@ -363,7 +363,7 @@ def _spikes(layer: Layer, membrane: Numbers, most: int) -> tuple[Numbers, Number
 
 
 def _fire(membrane: Numbers, threshold: Numbers, budget: Numbers) -> tuple[Numbers, Numbers]:
-    """Spikes while there is a threshold to take off the membrane, and what is left of it."""
+    """Return spikes while the membrane holds a threshold to subtract, and the rest of it."""
     spikes = 0 * budget
     for _ in range(budget.max()):
         fires = (membrane >= threshold) & (spikes < budget)
@@ -390,7 +390,7 @@ def _synapses(layer: Layer, sources: Sequence[str], gain: Floats) -> Iterator[Sy
 
 
 def _octaves(decay_factor: Floats, convention: Convention) -> Floats:
-    """log2(tau/dt), at least 0, of what keeps so much of itself in a timestep."""
+    """Return log2(tau/dt), at least 0, for a factor that is kept in a timestep."""
     with np.errstate(divide="ignore"):
         lost = -np.log(decay_factor) if convention.integrator == "exponential" else 1 - decay_factor
         return np.asarray(np.maximum(-np.log2(lost), 0.0))

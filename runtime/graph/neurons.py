@@ -150,7 +150,7 @@ _SNNTORCH_DT = 1e-4  # [s] what snnTorch 1.0.0 writes, whatever was meant
 
 
 def _unsaid(dt: float, given: Mapping[str, Any]) -> str:
-    """Source of what a file does not say; and how to say it, unless a reset was given."""
+    """Describe the assumptions on a file, and how to state them unless a reset was given."""
     if "reset" in given:
         return _DEFAULT
     asked = (
@@ -194,7 +194,7 @@ def infer_timestep(graph: nir.NIRGraph) -> _InferredTimestep:
 
 
 def _contradiction(node: nir.NIRNode, dt: float, tolerance: float) -> str:
-    """The reason why a node contradicts this dt; empty where it does not."""
+    """Return the reason why a node contradicts this dt; empty where it does not."""
     found = _candidates(node)
     if np.abs(found / dt - 1).max() > tolerance:
         return f"tau/r is {found.min():g} s and not {dt:g} s"

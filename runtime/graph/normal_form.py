@@ -4,7 +4,7 @@ Nodes of an inner graph are called outer.inner. Its Input and Output compute not
 edges.
 
 Whole numbers become floats of the same values: unsigned ones have no negative, and of the smallest
-signed one the magnitude does not fit, so that results would be wrong without a word.
+signed one the magnitude does not fit, so that results would be wrong silently.
 
 Some tools write shapes with axes of one in front, for batch or time, which NIR does not count. A
 weight matrix takes (M,), a Conv1d (C, X), a Conv2d or pool (C, Y, X); what stands beside one with

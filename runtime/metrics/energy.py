@@ -163,7 +163,7 @@ def latency_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
 
 
 def cost(counts: Mapping[str, float], prices: Mapping[str, float]) -> float:
-    """Energy [J] of so many events at these prices [J]."""
+    """Return the energy [J] of counted events at these prices [J]."""
     # E = sum over events of count * price
     marginal = _marginal_prices(prices)
     return sum(count * marginal.get(event, 0.0) for event, count in counts.items())
@@ -238,7 +238,7 @@ _FETCHED_MAC = TABLES["horowitz45-int8"].joules["mac"]
 
 
 def reading_energy(observations: float) -> float:
-    """Energy [J] of reading so many observations once."""
+    """Return the energy [J] of reading some observations once."""
     return observations * ACCESS
 
 

@@ -1,8 +1,8 @@
 """Traffic of a run: bits read and written, messages between cores, and the host's operations.
 
 Memory follows from the ledger's events and the widths of the chip's registers; nothing is counted
-while a network runs. It is the least that the arithmetic needs: indices, whole words and routing
-tables, which differ between chips, are not included.
+while a network runs. It is a lower bound, what the arithmetic needs: indices, whole words and
+routing tables, which differ between chips, are not included.
 
 Messages: a ledger counts one for each spike and each postsynaptic layer, as if every layer were on
 a core of its own; `placed_messages` counts them where layers take several.

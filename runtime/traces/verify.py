@@ -58,7 +58,7 @@ _SPECK = f"{_FAMILIES}.integrate_and_fire.speck_traces:speck_verdict"
 _EXPORTED = f"{_FAMILIES}.programs:program_trace"
 # letters of a text in which makers are looked for
 _MOST_PROSE = 1000
-# what is for people
+# for readers, not compared
 PROSE = {
     "name", "source", "kind", "note", "convention", "index", "trace_index", "input_spikes_index",
     "check", "seed", "license", "licence", "chip", "steps", "params", "layers",

@@ -2,11 +2,11 @@
 
 CubaFixedPoint computes as Loihi, CubaGradedSpikes as Loihi 2 with sigma-delta neurons.
 
-CubaFreeWidth is Loihi's arithmetic with free bit widths: no chip that exists, to find out what one
-would need. Its neurons lack what is peculiar to Loihi: registers end at the largest magnitude,
-decays are stored without offsets, weights use all their bits.
+CubaFreeWidth is Loihi's arithmetic with free bit widths: no existing chip, but a way to find the
+widths that one would need. Its neurons lack what is peculiar to Loihi: registers end at
+the largest magnitude, decays are stored without offsets, weights use all their bits.
 
-CubaFloat64 computes without any rounding: the compiled path, to tell compiling from rounding.
+CubaFloat64 computes without rounding, which separates effects of compiling from those of rounding.
 CubaFloat32 has whole weights and float32 states, as programs on SpiNNaker2's cores. Approximate:
 in which order the firmware multiplies and adds, and rounds, is not published.
 """

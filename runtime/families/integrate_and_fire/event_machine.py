@@ -1,7 +1,7 @@
-"""A chip that works event by event, running: ordered events in, ordered spikes of its layers out.
+"""A running chip that works event by event: ordered events in, ordered spikes of its layers out.
 
-`EventMachine` streams: events come in parts of any length, states go on from one to the next, and
-what is computed at once stays small. `EventPipeline` runs the same in timesteps, for a Machine: a
+`EventMachine` streams: events come in parts of any length, states continue from part to part, and
+little memory is needed. `EventPipeline` runs the same in timesteps, for a Machine: a
 timestep's counts are single events, in the order in which spikes leave.
 """
 
@@ -34,10 +34,10 @@ _PART = 1 << 12
 
 
 class EventMachine(Copyable):
-    """A program of a chip that goes event by event, such as speck2f:queue=on.
+    """A running program of a chip that works event by event, such as speck2f:queue=on.
 
     program: what it runs.
-    backend: "auto" takes the compiled kernels where Numba is installed; "numba" insists on them;
+    backend: "auto" takes the compiled kernels where Numba is installed; "numba" requires them;
         "interpreter" is their specification, equal and slow, as "numpy" is here.
     """
 
