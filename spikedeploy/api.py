@@ -1,4 +1,4 @@
-"""Three lines of Python: a network from a file, on a chip, run or trained; policies compared.
+"""The Python interface: a network from a file, run or trained on a chip; policies compared.
 
     import spikedeploy as sd
 
@@ -55,7 +55,7 @@ class LoadedNetwork:
     path: of the file
     artifact: the network, its codec if it drives a robot, its convention
     chip: as the command line takes it, or "float"
-    on_chip: how it is put on that chip
+    on_chip: settings with which it is compiled for that chip
     reading: options by which the file was read, beside what it states
     """
 
@@ -139,7 +139,7 @@ class LoadedNetwork:
 
 @dataclass(frozen=True)
 class Uncounted:
-    """The ledger of a run whose events could not be counted: false, and an error where it is used.
+    """The ledger of a run whose events could not be counted: false; its use raises an error.
 
     why: the reason
     """
@@ -285,12 +285,12 @@ def compare(
     options: Mapping[str, Any] = MappingProxyType({}),
     **setup: Any,  # noqa: ANN401
 ) -> ComparedPolicies:
-    """Policies on the same seeds; the float ANN, built-in players and controls are added.
+    """Compare policies on the same seeds; the float ANN, built-in players and controls are added.
 
     env: a name, a class, a function that makes one, or an instance
     policies: one or several: names of shipped ones, files, run folders or "last"; all that are
         shipped by default
-    teacher: beside them, as of `distill`
+    teacher: a teacher as a further row, as in `distill`
     chips: for those that spike; by default those of loaded networks, else what each was trained
         for, else loihi1
     seed: the first; from 10,000 on, which no training uses
@@ -343,7 +343,7 @@ def on_chip(
     input_shape: Sequence[int] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> "ChipModule":
-    """A network as a torch module whose forward pass is the chip; its parameters are the network's.
+    """Return a torch module whose forward pass is the chip, with the network's parameters.
 
     network: a torch module with neurons of snnTorch, Norse, sinabs or SpikingJelly, or a `.nir`
         file
@@ -369,7 +369,7 @@ def adapt(
     quiet: bool = False,
     **settings: Any,  # noqa: ANN401
 ) -> "Adaptation":
-    """A network trained on through a chip's integers, and its scores before and after.
+    """Train a network on through a chip's integers; return it with scores before and after.
 
     network: a `.nir` file, or a torch module, which has the best numbers afterwards
     raster: (B, T, *shape) spikes
@@ -377,7 +377,7 @@ def adapt(
     input_shape: of a torch module, of one timestep of one sample
     limits: refuse what breaks a design rule of the chip
     checkpoint: file that is written while it is trained; `resume` goes on from it
-    interrupt: that requests a stop, for a caller who catches signals itself
+    interrupt: requests a stop, for a caller that catches signals itself
     settings: of trainers.adapt.AdaptationSettings: epochs, batch, rate, patience, held_out, seed
     """
     from spikedeploy.trainers import adapt as adapting
@@ -433,7 +433,7 @@ def export(
     to: str | None = None,
     **options: Any,
 ) -> LoadedNetwork | Path:
-    """A torch module as a NIR file, loaded again; or a run folder or file in another format.
+    """Export a torch module as a NIR file, and load it; or a run or file in another format.
 
     network: with neurons as `on_chip` takes them, or what `on_chip` made of one; or a run folder,
         "last", a `.nir` file
@@ -489,7 +489,7 @@ def train(
     what: a recipe; with `recipe`, `network` or `chip` the environment: a name, a class, a function
         that makes one, or an instance
     recipe: for any environment; with a network "ppo-network" by default
-    network: of yours: a torch module, its class, or a `.nir` file; docs/own-policy.md
+    network: a network of the user: torch module, its class, or `.nir` file; docs/own-policy.md
     chip: in whose integers it is trained; without a network a policy that fits it
     overrides: settings: {"steps": 50_000, "policy": {"timesteps": 4}}, or text as `--set` takes it
     options: of trainers.train.train: seed, budget, resume, runs, quiet
@@ -531,10 +531,10 @@ def distill(
     env: a name, a class, a function that makes one, or an instance
     teacher: a file, a run folder, a shipped policy, a function of an observation, or a model of
         Stable-Baselines3
-    network: of yours, the student: a torch module, its class, or a `.nir` file
+    network: the student, of the user: a torch module, its class, or a `.nir` file
     chip: in whose integers it is trained
     size, encoder, timesteps, budget, dense: as on the command line
-    overrides, options: as of `train`
+    overrides, options: as in `train`
     """
     from spikedeploy.objects import env_target, overrides_of, target, teacher_target
     from spikedeploy.trainers import train as training
@@ -549,7 +549,7 @@ def distill(
 
 
 def make(env: str, **options: Any) -> "gymnasium.Env[Any, Any]":  # noqa: ANN401
-    """The environment of a short name or id, with its options."""
+    """Make the environment of a short name or id, with its options."""
     from spikedeploy.make_env import make_env
 
     return make_env(env, options)

@@ -26,7 +26,7 @@ _ASCII = {
 
 
 def prepare_streams() -> None:
-    """Let lines appear at once, piped or not, and letters that a terminal lacks be spelt out."""
+    """Flush each line, also into a pipe, and spell out letters that a terminal lacks."""
     codecs.register_error("ascii-spelling", _spell_in_ascii)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -41,7 +41,7 @@ def _spell_in_ascii(error: UnicodeError) -> tuple[str, int]:
 
 
 def discard_output() -> None:
-    """Forget what cannot be written, so that the interpreter does not try again at its end."""
+    """Discard output that cannot be written, so that the interpreter does not try at exit."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -50,7 +50,7 @@ def discard_output() -> None:
 
 
 def program_name() -> str:
-    """The word by which the user calls this program; the script ./spike sets it."""
+    """The name by which the user calls this program; the script ./spike sets it."""
     return shlex.quote(os.environ.get("SPIKEDEPLOY_COMMAND") or "spikedeploy")
 
 

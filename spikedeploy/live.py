@@ -250,7 +250,7 @@ def steps_event(batch: Sequence[WatchedStep], table: str, deadline: float) -> by
 _EVERY = 0.05  # [s] between two looks at what is new
 _SILENCE = 2.0  # [s] after which a comment shows whether the browser is still there
 _MOST_STEPS = 1000  # control steps of an episode that are kept
-_GOODBYE = 2.0  # [s] that browsers have to hear of the end
+_CLOSING = 2.0  # [s] for browsers to receive the end
 
 
 @dataclass
@@ -287,24 +287,24 @@ class LiveView:
             return self._changed.wait_for(lambda: self._browsers > 0, seconds)
 
     def begin(self, head: Mapping[str, Any]) -> None:
-        """An episode begins: label, scene, period [s] and the like, energy table and deadline."""
+        """Begin an episode: label, scene, period [s], energy table and deadline."""
         self._episode = _Episode(head, deque(maxlen=_MOST_STEPS))
 
     def step(self, step: WatchedStep) -> None:
-        """A control step was taken."""
+        """Add a control step."""
         if self._episode:
             self._episode.steps.append(step)
 
     def over(self, outcome: Mapping[str, Any]) -> None:
-        """The episode is over."""
+        """End the episode."""
         if self._episode:
             self._episode.outcome = outcome
 
     def close(self) -> None:
-        """Let browsers hear of the end, and give the port back."""
+        """Tell browsers of the end, and close the port."""
         self._is_ended = True
         with self._changed:
-            self._changed.wait_for(lambda: self._browsers == 0, _GOODBYE)
+            self._changed.wait_for(lambda: self._browsers == 0, _CLOSING)
         self._server.shutdown()
         self._server.server_close()
 
@@ -365,7 +365,7 @@ _PATIENCE = 10.0  # [s] of silence in a request, or for a browser to take what i
 class _Server(ThreadingHTTPServer):
     """The page and its events, over HTTP on 127.0.0.1, from the beginning on.
 
-    Every program of this machine may look; nothing can be changed. Pages of other origins are kept
+    Every program of this machine can read; nothing can be changed. Pages of other origins are kept
     out: by the name of the host, as DNS may lead a name of theirs here, and by what browsers say of
     where a request comes from.
     """
@@ -382,7 +382,7 @@ class _Server(ThreadingHTTPServer):
         threading.Thread(target=self.serve_forever, args=(0.05,), daemon=True).start()
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """A browser that leaves is no error."""
+        """Ignore a browser that leaves."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
 
@@ -425,7 +425,7 @@ class _Handler(BaseHTTPRequestHandler):
     do_HEAD = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = do_POST  # noqa: N815
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nothing: the terminal is the run's."""
+        """Log nothing: the terminal belongs to the run."""
 
     def _is_ours(self) -> bool:
         """True of a request by our page, or by somebody who typed its address."""

@@ -57,7 +57,7 @@ _MAKERS: dict[int, tuple[object, Callable[..., Any]]] = {}  # of instances, by i
 
 
 def _maker(env: object, make: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function for the same instance."""
+    """Return one function for each instance."""
 
     def maker(**options: Any) -> Any:  # noqa: ANN401
         if options:

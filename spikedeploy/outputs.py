@@ -1,4 +1,4 @@
-"""The guard of every file that a command writes: nothing that matters is overwritten.
+"""Checks of every file that a command writes: no input, run or foreign file is overwritten.
 
 Refused are inputs of the command, by whatever name; what is no plain file; and what belongs to a
 run. A file that exists needs --force, unless the same command wrote it, which MARK in it tells. A
@@ -81,7 +81,7 @@ def check_output(
 
 
 def no_link(path: Path) -> Path:
-    """A path that is written without asking, as in a run folder; refused where it is a link."""
+    """Return a path that is written without --force; refuse a link."""
     if path.is_symlink():
         raise ConfigError(f"{path} is a link, through which nothing is written. Remove it.")
     return path

@@ -1,4 +1,4 @@
-"""How policies are evaluated: the settings that commands, reports, cards and sweeps share.
+"""Settings of an evaluation, which commands, reports, cards and sweeps share.
 
 A group of options is a dataclass of this file or of a command: its fields are options of the
 command line, its docstring their help (`spikedeploy.commands.options`), and pydantic reads it from

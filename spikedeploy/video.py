@@ -1,4 +1,4 @@
-"""Frames in, one file out, written atomically: H.264 in MP4 through PyAV, GIF, or one as WebP."""
+"""Videos from frames, written atomically: H.264 in MP4 through PyAV, GIF; a frame as WebP."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

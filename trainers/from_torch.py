@@ -1,4 +1,4 @@
-"""What a torch module computes in a timestep, as a network of maps and neurons.
+"""Torch modules as networks of maps and neurons, which compute one timestep.
 
 `network_from_torch` runs the module on an example and records which leaf modules and torch
 functions made each tensor from which. So it takes `nn.Sequential`, a `forward` that computes one
@@ -49,7 +49,7 @@ _ALL_TIMESTEPS = ((3, _BATCH), (30, _BATCH), (_BATCH, 30), (300, _BATCH), (_BATC
 
 @dataclass(frozen=True)
 class _Value:
-    """Where a tensor comes from: the sum of what nodes put out in some of their calls.
+    """The origin of a tensor: the sum of the outputs of nodes in some of their calls.
 
     terms: (node, call) of each, call counted from 0
     membrane_of: node of neurons whose membrane it is, which no map can read; empty for spikes

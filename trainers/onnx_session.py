@@ -1,7 +1,7 @@
 """ONNX Runtime session of a float network, on one thread and without torch.
 
-A file of a stranger can ask for any memory and time. One that computes with the operators of dense
-networks alone cannot, and is opened as it is. Any other is first tried in a process with limits;
+An untrusted file can ask for any memory and time. One that computes with the operators of dense
+networks alone cannot, and is opened directly. Any other is first tried in a process with limits;
 loops and branches are refused, because one trial says nothing about the next inference.
 
 What passes from one control step to the next is an input of the file, and an output of the same

@@ -360,7 +360,7 @@ class _Episode:
 
 
 class Validator:
-    """Deterministic episodes without support force, all as one batch, on the validation seeds."""
+    """Validation: deterministic episodes without support force, as one batch."""
 
     def __init__(self, env: EnvConfig, config: ValidationConfig) -> None:
         self._config = config

@@ -101,7 +101,7 @@ def on_chip(
 
 
 def nearest_remark(target: Chip, found: Convention, wanted: Meaning) -> str:
-    """Return in what the neurons of a chip are others than those that are wanted; empty if not."""
+    """Return how the neurons of a chip differ from those that are wanted; empty if they do not."""
     parts = []
     if wanted.reset not in (found.reset, "none"):
         parts.append(
@@ -380,7 +380,7 @@ class ChipModule(nn.Module):
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What the neurons of a layer did on the chip, (T, B, N) in float units.
+    """Activity of a layer's neurons on the chip, (T, B, N) in float units.
 
     before, behind: membranes before and after a reset; NaN before where the chip cannot tell
     threshold: (N,) as the chip has it
@@ -399,7 +399,7 @@ class _Seen:
     tells: bool
 
     def with_membranes(self, drive: Tensor, equation: Equation) -> "_Seen":
-        """Return it with membranes before a reset; where unknown, by the equation."""
+        """Return a copy with membranes before a reset; where unknown, by the equation."""
         if self.tells:
             return self
         before = self.before.numpy().copy()

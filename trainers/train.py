@@ -129,7 +129,7 @@ def _budgeted(config: C, budget: str | None) -> C:
 
 
 def _with_paths(config: C) -> C:
-    """Return it with the folders of the runs that are meant now; later names may mean others."""
+    """Return the configuration with run names replaced by their folders, as names can change."""
     from spikedeploy.trainers.distill.teachers import find_shipped
 
     found = {}

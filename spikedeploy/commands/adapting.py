@@ -112,7 +112,7 @@ def adapt(
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Let warnings, such as of a neuron that the chip lacks, be lines for the user."""
+    """Print warnings as lines, such as that the chip lacks a neuron."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, *_, **__: say(str(message))
@@ -136,7 +136,7 @@ def _check_checkpoint(path: Path, resume: bool, force: bool) -> None:
 
 
 def _stop(code: int, what: str, checkpoint: Path) -> None:
-    """Say what is kept, and exit."""
+    """Print what is kept, and exit."""
     kept = checkpoint.is_file()
     say(f"{what}; " + ("--resume goes on" if kept else "nothing was trained, nothing is written"))
     raise typer.Exit(code)

@@ -1,4 +1,4 @@
-"""What a shell offers at the tab key: environments, policies, chips, recipes.
+"""Completion at the tab key: environments, policies, chips, recipes.
 
 `spikedeploy --install-completion` puts it into the shell; where a list is empty the shell offers
 files itself.

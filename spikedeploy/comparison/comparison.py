@@ -74,7 +74,7 @@ class Row:
 
     @property
     def failures(self) -> list[bool]:
-        """Whether each episode failed (n,); empty where the environment knows no success."""
+        """Failure of each episode (n,); empty where the environment knows no success."""
         return [episode.failed for episode in self.episodes if episode.failed is not None]
 
     @property
@@ -142,7 +142,7 @@ class Comparison:
 
     @property
     def setup(self) -> Setup:
-        """What all rows share."""
+        """The setup, which all rows share."""
         return self.rows[0].entry.setup
 
     def row(self, entry: Entry | None) -> Row | None:
@@ -194,7 +194,7 @@ class Comparison:
         }
 
     def _ratio(self, row: Row, other: Row) -> float | None:
-        """Share of a return; None of one that is not positive, of which a share says nothing."""
+        """Share of a return; None if the other is not positive, so that a share has no meaning."""
         return row.mean / other.mean if other.mean > 0 or not self.foreign else None
 
     def _agreement(self, row: Row) -> dict[str, Any]:
@@ -260,7 +260,7 @@ class Comparison:
         }
 
     def _late(self, steps: tuple[int, int] | None) -> dict[str, Any]:
-        """From an observation to the first and the last action that it reaches, in time too."""
+        """Delay from an observation to the first and the last action that it reaches."""
         if steps is None or not any(steps):
             return {}
         period = self.period or control_period(self.env)

@@ -85,12 +85,12 @@ def drives(signals: Iterable[str]) -> bool:
 
 
 def metrics_of(signals: Iterable[str]) -> tuple[_Metric, ...]:
-    """The metrics of the world whose infos or rows have these names."""
+    """Return the metrics of the world whose infos or rows have these names."""
     return DRIVING if drives(signals) else WALKING
 
 
 def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
-    """The metrics of one episode from its infos, each (S,)."""
+    """Return the metrics of one episode from its infos, each (S,)."""
     return {
         metric.name: float(_OF_OURS[metric.reduce](np.asarray(infos[metric.signal], np.float64)))
         for metric in metrics_of(infos)
@@ -99,7 +99,7 @@ def measure(infos: Mapping[str, Signal]) -> dict[str, float]:
 
 
 def measure_named(infos: Mapping[str, Signal], texts: Iterable[str]) -> dict[str, float]:
-    """Text `name:reduction` -> that of the infos, each (S,), at the steps that have the number."""
+    """Return text `name:reduction` -> value, over the steps of the infos (S,) with that number."""
     found = {}
     for text in texts:
         name, _, reduction = text.rpartition(":")

@@ -45,7 +45,7 @@ class Agreement:
 
 
 def agreement(player: Player, played: Rollout, other: Rollout) -> Agreement:
-    """The player, which acted in `played`, against the policy of the other rollout."""
+    """Compare the player, which acted in `played`, with the policy of the other rollout."""
     player.reset(other.seed)
     error = player.replay(other.observation[:-1]) - other.action
     return Agreement(
@@ -154,10 +154,10 @@ def summarise(
     metrics: Sequence[str] = (),
     foreign: bool = False,
 ) -> Episode:
-    """The summary of a rollout that the player has just played.
+    """Summarise a rollout that the player has just played.
 
-    metrics: that are asked for, of any environment
-    foreign: whether the environment is not ours, so that its infos mean nothing to us
+    metrics: those of --metric, for any environment
+    foreign: whether the environment is of another package, whose infos have no metrics here
     """
     damage, costs = player.damage, player.costs(played)  # first: agreement runs the player again
     return Episode(

@@ -40,11 +40,11 @@ from spikedeploy.video import Frame, Pace, add_caption, mp4
 
 
 class Hardware(Protocol):
-    """What drives in place of the emulated chip: the name of its row, and what computes."""
+    """Hardware that drives in place of the emulated chip: name of its row, and its backend."""
 
     @property
     def name(self) -> str:
-        """Of the row."""
+        """Name of the row."""
 
     @property
     def backend(self) -> Any:  # noqa: ANN401
@@ -119,15 +119,15 @@ def run_policy(
     loop: PacedLoop | None = None,
     hardware: Hardware | None = None,
 ) -> Comparison:
-    """One row: the policy on every seed.
+    """Play the policy on every seed; return its row.
 
     reference: as registry.find takes it
     env: short name or id; None is the one that the policy was made for
     chip: a chip or "float"; None is that of the training, or DEFAULT_CHIP, for a file that spikes
     seeds: (n,)
     video: MP4 of the first episode
-    loop: paces it by the clock, and says which seeds are played; None plays as fast as it can
-    hardware: that computes instead of the emulated chip
+    loop: paces the episodes by the clock and chooses the seeds; None plays at full speed
+    hardware: computes in place of the emulated chip
     """
     candidate = find(reference)
     played_with = setup
@@ -177,7 +177,7 @@ def run_policy(
 
 
 def _say_whether_it_repeats(world: Any, first: Rollout) -> None:  # noqa: ANN401
-    """Say it where an environment begins otherwise than before from the seed of its first episode.
+    """Warn if an environment, reset with the first seed again, begins otherwise than before.
 
     It is reset for it alone: whether it goes on the same, `check_repeats` tries in a simulation,
     and what is run may be a robot.

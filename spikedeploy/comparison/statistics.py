@@ -127,7 +127,7 @@ def t_interval(values: ArrayLike) -> Estimate:
 
 
 def _t_quantile(freedom: int) -> float:
-    """What |t| with so many degrees of freedom stays below in 95 % of all cases."""
+    """The bound that |t|, with so many degrees of freedom, stays below in 95 % of all cases."""
     # with t = sqrt(freedom) tan(angle) the density of the angle is ~ cos(angle)^(freedom - 1)
     angle = np.linspace(0, math.pi / 2, 100_001)
     density = np.cos((angle[1:] + angle[:-1]) / 2) ** (freedom - 1)

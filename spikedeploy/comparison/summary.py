@@ -15,7 +15,7 @@ _NAMES = {"ann": "the float ANN", "gait": "the gait alone", "random": "random ac
 
 
 class _Words(NamedTuple):
-    """Of a task: the field of a row by which policies are equal, and what being so is called."""
+    """Words of a task: the field of a row by which policies are equal, and the name of equality."""
 
     field: str
     less: str

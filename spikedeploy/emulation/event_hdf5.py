@@ -38,7 +38,7 @@ Parts = Callable[[], Iterator[Columns]]
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where a tool puts events.
+    """The place where a tool puts events.
 
     name: of the tool.
     place: of a group of columns, of a dataset with fields, or of a table (N, 4).
@@ -119,7 +119,7 @@ def _layout_of(path: Path, file: h5py.File) -> _Layout:
 
 
 def _others(file: h5py.File, layout: _Layout) -> list[str]:
-    """Where else in a file columns of events are than where a layout has them."""
+    """Other places in a file with columns of events, which no layout names."""
     read = file[layout.place or "/"]
     known = {each.place: file[each.place or "/"] for each in _LAYOUTS if _is_there(file, each)}
     leaves = dict(_members(file))

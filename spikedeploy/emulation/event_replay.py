@@ -1,4 +1,4 @@
-"""What a page replays of a run over a recording: pictures of all layers, and curves, in few bytes.
+"""The replay of a run over a recording, for pages: pictures of all layers, and curves.
 
 The recording is divided into at most 1,000 spans, of 10 ms where it is short. Curves count
 everything in each. A picture holds the neurons that spiked in a span, or in its beginning where
@@ -72,7 +72,7 @@ class Replay:
         self._heard[span] += 1
 
     def _thin(self) -> None:
-        """Leave every second picture out."""
+        """Drop every second picture."""
         self.every *= 2
         for name, pictures in self._pictures.items():
             self._pictures[name] = {k: row for k, row in pictures.items() if not k % self.every}

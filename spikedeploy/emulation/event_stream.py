@@ -1,9 +1,9 @@
 """Recordings of event cameras into a network: one long run in bounded memory, every event counted.
 
-States are kept over the whole recording, whatever the file says of inferences. A chip runs on from
-timestep to timestep, as it does behind a camera: what its layers send is equal to one inference
-over all timesteps (tests/spikedeploy/commands/test_emulate_events.py), where a layer that starts
-later is listened to from its start on.
+States are kept over the whole recording, even where the file resets them at each inference. A chip
+runs on from timestep to timestep, as behind a camera. Its layers send what they send in one
+inference over all timesteps (tests/spikedeploy/commands/test_emulate_events.py), if the spikes of a
+layer that starts later are counted from its start.
 """
 
 from collections import Counter
@@ -47,18 +47,18 @@ _FLOAT_ROWS = 64  # timesteps that the float twin computes at once
 
 
 class Listener(Protocol):
-    """Hears all spikes and outputs of a run; those of each layer in the order of time."""
+    """Receiver of all spikes and outputs of a run; those of each layer in the order of time."""
 
     def add_spikes(
         self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
     ) -> None:
-        """Spikes of the input or a layer: times [us], neurons, and how many, (k,) each.
+        """Add spikes of the input or a layer: times [us], neurons, and how many, (k,) each.
 
         Times count from the first timestep, or from the first event where there are none.
         """
 
     def add_output(self, at: float, values: NDArray[np.float64]) -> None:
-        """Output (act,) at a time [us]."""
+        """Add the output (act,) at a time [us]."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def emulate_events(
     found: the survey of the recording.
     steps: timesteps, in which the events of each neuron are counted; None gives the chip one event
         after another, which must go event by event.
-    listeners: hear every spike, and in timesteps every output.
+    listeners: receive every spike, and in timesteps every output.
     backend, limits, quantisation: as in `emulate_artifact`.
     """
     artifact = artifact.with_convention(artifact.convention.with_options({"state": "kept"}))

@@ -1,4 +1,4 @@
-"""What a framework recorded of a network, beside the float twin of the file that it exported."""
+"""Recordings that a framework made of a network, beside the float twin of the exported file."""
 
 from pathlib import Path
 from typing import Any

@@ -89,7 +89,7 @@ def find_difference(
 
 
 class Found(NamedTuple):
-    """What a search found.
+    """The result of a search.
 
     cause: words for the options that make both equal; empty where none was found.
     nearest: words for the single change with the fewest differences, and their number, if fewer

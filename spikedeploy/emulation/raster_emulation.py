@@ -96,7 +96,7 @@ class Measures:
 def measure_inference(
     artifact: Artifact, network: RunningNetwork, raster: NDArray[Any], ledger: Ledger
 ) -> Measures:
-    """Of the last inference of a network with a trace, which was of the raster (B, T, M)."""
+    """Measure the last inference of a traced network, which was of the raster (B, T, M)."""
     program, seen, chip = network.program, network.recordings, network.program.chip
     spikes = {program.input: raster, **{name: rows.spikes for name, rows in seen.items()}}
     membranes = {name: rows.membrane for name, rows in seen.items()}

@@ -31,7 +31,7 @@ class Hardware(Protocol):
     """A core that runs one program."""
 
     def reset(self) -> None:
-        """Forget every current, membrane and spike."""
+        """Set every current, membrane and spike to 0."""
 
     def step(self, axons: Iterable[int]) -> Timestep:
         """One timestep, with its states, in which these axons of the input spike."""
@@ -135,7 +135,7 @@ class RtlBackend:
         return None
 
     def reset(self) -> None:
-        """Forget every current, membrane and spike, in both."""
+        """Set every current, membrane and spike of both to 0."""
         self._hardware.reset()
         self._beside.reset()
         size = self._program.layer(self._program.output).size
@@ -213,9 +213,9 @@ class RtlBackend:
         }
 
     def saved(self) -> SavedState:
-        """Refused: a core does not give its states back."""
+        """Refuse: the states of a core cannot be read back."""
         raise ConfigError("a core keeps its states: start an episode to change the timesteps.")
 
     def restore(self, saved: SavedState) -> None:
-        """Refused likewise."""
+        """Refuse: the states of a core cannot be set."""
         raise ConfigError("a core keeps its states: start an episode to change the timesteps.")

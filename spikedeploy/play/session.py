@@ -1,4 +1,4 @@
-"""Who drives in `spikedeploy play`, and episodes that follow one another."""
+"""Drivers of `spikedeploy play`, and episodes that follow one another."""
 
 import itertools
 import time

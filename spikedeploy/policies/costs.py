@@ -53,7 +53,7 @@ FLOAT_TABLES = tuple(name for name, table in TABLES.items() if "mac" in table.jo
 
 
 class CostColumn(NamedTuple):
-    """What a report says of a field of `Costs`.
+    """The report of a field of `Costs`.
 
     meaning: what it is
     key: of a row of a report

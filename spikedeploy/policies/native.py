@@ -24,7 +24,7 @@ _permitted: set[Path] = set()
 
 
 def permit(path: Path) -> None:
-    """Let this file be loaded, by the word of the user."""
+    """Permit the loading of this file, as the user asked."""
     _permitted.add(path.resolve())
 
 

@@ -63,7 +63,7 @@ def checkpoint_record(run: Path, checkpoint: str) -> dict[str, Any]:
 def describe_progress(run: Path) -> str:
     """The progress of a training that has not ended: `12 %`; empty where it has.
 
-    Also empty for runs from before this was written down.
+    Also empty for runs of earlier versions, which lack this record.
     """
     state = checkpoint_record(run, "last")
     ended = state.get("finished", True) or "share" not in state

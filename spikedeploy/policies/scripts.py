@@ -44,7 +44,7 @@ class ZeroController(Player):
         return np.zeros(self._actions)
 
     def costs(self, played: Rollout) -> Costs:
-        """Nothing is computed."""
+        """Return no costs: nothing is computed."""
         return NOTHING
 
 
@@ -69,7 +69,7 @@ class RandomController(Player):
         return np.asarray(draw_action(self._space, self._rng))
 
     def costs(self, played: Rollout) -> Costs:
-        """Nothing is computed."""
+        """Return no costs: nothing is computed."""
         return NOTHING
 
 
@@ -90,7 +90,7 @@ class GapController(Player):
 
 
 class ExpertController(Player):
-    """The environment's own expert, who knows the simulation and looks at no observation."""
+    """The environment's own expert, which reads the simulation and no observation."""
 
     def __init__(self, expert: "Teacher", chooses: bool) -> None:
         self._expert, self._chooses = expert, chooses
@@ -110,11 +110,11 @@ class ExpertController(Player):
         return np.asarray(action.argmax()) if self._chooses else action
 
     def replay(self, observations: Floats) -> NDArray[Any]:
-        """Refused: without the environment in that state nothing is known."""
+        """Refuse: the expert needs the environment in the state of each step."""
         raise ConfigError("the expert looks at no observations, so it has no actions for them")
 
     def costs(self, played: Rollout) -> Costs:
-        """Nothing is observed, so nothing that counts is computed."""
+        """Return no costs: nothing is observed, and no computation counts."""
         return NOTHING
 
 

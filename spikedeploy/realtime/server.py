@@ -248,7 +248,7 @@ class PolicyServer:
                 self._socket.send_multipart([client, *envelope, reply.encode()])
 
     def close(self) -> None:
-        """Give the port back, at once."""
+        """Close the port at once."""
         self._socket.close(linger=0)
         self._context.term()
 

@@ -132,7 +132,7 @@ def energy_overview() -> Iterator[Table]:
 
 
 def static_table() -> Table:
-    """What chips take while they idle, and how many operations a second take as much.
+    """Idle power of chips, and the rate of operations that takes as much.
 
     Below that rate the chip's idling decides what it takes. The duty cycle is the share of a
     control step in which a chip that could be switched off between two would have to be on, at a

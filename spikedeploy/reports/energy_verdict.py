@@ -1,4 +1,4 @@
-"""Whether spiking saves energy: counts of a comparison beside published borders and static power.
+"""The verdict on energy: counts of a comparison beside published borders and static power.
 
 The published borders weigh synapses: Davidson and Furber 2021 (Frontiers in Neuroscience 15:651141)
 find that a rate code costs less below 1.72 spikes a synapse and inference, Dampfhoffer et al. 2023
@@ -82,7 +82,7 @@ def _beside(row: Row, rows: Sequence[Row]) -> str:
 
 
 def static_power(row: Row) -> str:
-    """What the chip takes while it idles in a control step, over all that is known of a policy.
+    """Idle energy of the chip in a control step, over all that is known of a policy.
 
     By the chip's own prices, each of its tables; by the common one where it has none.
     """

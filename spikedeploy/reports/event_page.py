@@ -52,7 +52,7 @@ def _numbers(run: EventRun) -> Iterator[HeadlineNumber]:
 
 
 def _tables(run: EventRun) -> tuple[Table, Table]:
-    """What was found, and the layers."""
+    """The tables of the results, and of the layers."""
     title = f"{run.seconds:.4g} s of events on {run.chip}"
     return Table(("what", "found"), list(_facts(run).items()), title), _layers(run)
 

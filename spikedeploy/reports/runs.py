@@ -64,7 +64,7 @@ class RunScores:
 
     @property
     def name(self) -> str:
-        """Of the folder."""
+        """Name of the folder."""
         return self.path.resolve().name
 
     @property
@@ -211,7 +211,7 @@ class LivePage:
         self._due = 0.0
 
     def __call__(self, run: Path) -> None:
-        """Write it, if one is due; what hinders that does not end the training."""
+        """Write the page if it is due; an error does not end the training."""
         began = time.monotonic()
         if began < self._due:
             return
@@ -272,7 +272,7 @@ def _numbers(found: RunScores, settings: Mapping[str, str]) -> Iterator[Headline
 
 
 def _next_commands(found: RunScores, live: bool) -> Iterator[tuple[str, str]]:
-    """Suggest what to do next, with the command that does it."""
+    """Suggest the next steps, each with its command."""
     run = shlex.quote(str(found.path))
     if found.share < 1 and not live:
         yield "go on with the training", f"spikedeploy train --resume {run}"

@@ -53,7 +53,7 @@ class CoreDesign:
 
     @property
     def use(self) -> Use:
-        """What it takes of the board's FPGA, predicted before synthesis."""
+        """Share of the board's FPGA that it takes, predicted before synthesis."""
         return predict(self.image, self.board)
 
     @property
@@ -184,7 +184,7 @@ def export_verilog(
 
 
 def _targets(on: Board, use: Use) -> tuple[str, ...]:
-    """What make can build and compare for a board."""
+    """Targets of make for a board."""
     if on.device.family != "ice40":
         return "lint", "sim", "pins", "bit"
     return ("lint", "sim", "netlist", "bit", *(() if use.large_rams else ("bitcheck",)))

@@ -35,7 +35,7 @@ class CoreDriver:
     def beside_emulated(
         self, played: Comparison, emulate: Callable[[], Comparison]
     ) -> "HardwareRun":
-        """What it did, beside the same episodes on the emulated chip, which are played now."""
+        """Play the episodes on the emulated chip as well; return both results."""
         states = self.states.as_json()  # before a page plays episodes once more
         (row,), (emulated,) = played.rows, emulate().rows
         return HardwareRun(self.folder, states, row.returns, emulated.returns)
@@ -82,7 +82,7 @@ class HardwareRun:
         return {"folder": str(self.folder), "equal": self.equal, **returns, **self.states}
 
     def lines(self) -> tuple[str, ...]:
-        """The same for a terminal."""
+        """Lines for a terminal."""
         found, clocks = self.states, self.states["clocks"]
         same = sum(a == b for a, b in zip(self.returns, self.emulated, strict=True))
         return (

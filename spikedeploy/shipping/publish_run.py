@@ -106,10 +106,10 @@ def describe(source: Path, exported: ExportResult, checkpoint: str | None = None
 
 
 def _before(source: Path) -> Iterator[dict[str, Any]]:
-    """The runs that a run needs, the first one first: for its walks, as its guide or its start."""
+    """The runs that a run needs, in the order of training: for its walks, or as its start."""
     settings, told = run_record.settings(source), set()
     for setting in _NEEDED.get(settings["algorithm"], ()):
-        if not settings.get(setting):  # runs of before lack some
+        if not settings.get(setting):  # absent from runs of earlier versions
             continue
         run = find_start(settings[setting], source.parent).path
         checkpoint = settings.get("start_checkpoint")

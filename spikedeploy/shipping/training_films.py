@@ -39,7 +39,7 @@ class TrainingFilms:
         self._count, self._hindered = count, False
 
     def __call__(self, run: Path, step: int, total: int) -> None:
-        """Film it, if that is due; what hinders it is said once, and does not end the training."""
+        """Film if a film is due; an error is reported once and does not end the training."""
         if self._hindered:
             return
         try:
@@ -80,7 +80,7 @@ def _best(run: Path) -> Path:
 
 @contextmanager
 def _generators_kept() -> Iterator[None]:
-    """Put back the generators that training shares: a network that is built draws its weights."""
+    """Restore the generators that training shares: building a network draws weights."""
     import torch
 
     python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002 - others draw from it

@@ -47,7 +47,7 @@ class VerilogFolder(BaseModel, frozen=True):
     chip: whose integers the core computes, with the clock in the name where it is not the chip's.
     board: that the top module is for.
     files: name -> sha256 of what was written.
-    quantise: the granularity of its scales; folders from before it was a choice lack it.
+    quantise: granularity of its scales; absent from folders of earlier versions.
     """
 
     folder: Path = Field(exclude=True)

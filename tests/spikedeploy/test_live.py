@@ -114,7 +114,7 @@ def test_options_that_make_no_sense_are_refused(stroll, command, words, why):
 
 PATIENT = f"""
 from spikedeploy import cli, live
-live._GOODBYE = {PATIENCE}  # two seconds may be too few on a busy core
+live._CLOSING = {PATIENCE}  # two seconds may be too few on a busy core
 cli.main()
 """
 
@@ -284,7 +284,7 @@ def test_requests_that_are_none_end_their_connection_and_nobody_elses(view, capf
 
 
 def test_several_browsers_hear_the_same_and_a_late_one_what_is_kept(view, monkeypatch):
-    monkeypatch.setattr("spikedeploy.live._GOODBYE", PATIENCE)
+    monkeypatch.setattr("spikedeploy.live._CLOSING", PATIENCE)
     first, second = listening(view), listening(view)
     assert view.wait(PATIENCE)
     play(view, 4)

@@ -298,7 +298,7 @@ class DeltaSnnPolicy(Policy):
     def _without_memory(
         self, seen: Tensor, weights: "DeltaWeights", burn_in: int, begins: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """As `unrolled`, zeros in the burn-in; of a control step only what its action depends on.
+        """Compute as `unrolled`, with zeros in the burn-in; only what the action depends on.
 
         Spikes are T times those of the timestep that the action reads.
 

@@ -65,7 +65,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Ended:
-    """What a phase of a search came to.
+    """The result of a phase of a search.
 
     goal: operations allowed at its end; None while dense
     operations: of a control step, at its end
@@ -168,7 +168,7 @@ def _missed(ended: Sequence[Ended], wanted: float) -> int:
 
 
 class _Plan:
-    """Phases one behind another."""
+    """Phases in order."""
 
     def __init__(self, config: SparseConfig) -> None:
         self._config = config

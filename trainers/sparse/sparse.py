@@ -141,7 +141,7 @@ class Sparse(Runner[SparseConfig]):
         self._confirming = math.nan, math.nan  # the same two, on the seeds that confirm
 
     def _begin(self) -> None:
-        """Let the teacher walk; fit the normaliser and the encoder to what it saw."""
+        """Collect walks of the teacher; fit the normaliser and the encoder to them."""
         config = self._config
         taken = _walks_of(config, self._sizes) if config.pool else []  # refused before walks
         taught = Stateless(self._taught)
@@ -188,8 +188,8 @@ class Sparse(Runner[SparseConfig]):
         return True
 
     def _next_phase(self) -> None:
-        """Walk, set the encoder's steps again, and start the next phase with a new optimiser."""
-        # what is validated is what walks: with the chip's numbers, once training computes with them
+        """Collect walks, set the encoder's steps, and start the next phase with a new optimiser."""
+        # the validated policy collects: with the chip's numbers once training computes with them
         student = self._student
         walking = student.deployed(self._chip) if student.rounds else self.policy
         self._collect(FloatController(walking), self._config.walks)
@@ -301,7 +301,7 @@ class Sparse(Runner[SparseConfig]):
         return row
 
     def _end_phase(self, phase: Phase) -> None:
-        """Decide whether the level of a search keeps what it has to, and plan on."""
+        """Decide whether a level of a search keeps the required share; plan the next phase."""
         share, count = max(self._shares), operations(self._student.synapses())
         wanted = target(self._config, self._ended)
         if phase.last is not None and not self._config.budget and share >= wanted:
@@ -316,7 +316,7 @@ class Sparse(Runner[SparseConfig]):
         self._plan_on()
 
     def _plan_on(self) -> None:
-        """Plan the phase behind those of a search that ended, or be finished."""
+        """Plan the next phase of a search, or end it."""
         self._phases = searched(self._config, self._ended)
         over = len(self._phases) == len(self._ended)
         self._total = self._phases[-1].end if over else expected_updates(self._config, self._ended)

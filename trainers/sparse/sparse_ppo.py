@@ -506,7 +506,7 @@ class SparsePpoLearner(Learner):
         return advantage
 
     def _fit(self, seen: Tensor, target: Tensor) -> float:
-        """Let the critic learn targets (N,) of states (N, obs); return the last pass's error."""
+        """Train the critic on targets (N,) of states (N, obs); return the last pass's error."""
         config = self._config
         for _ in range(config.critic_epochs):
             parts = torch.randperm(len(seen)).tensor_split(max(1, len(seen) // config.critic_batch))

@@ -1,4 +1,4 @@
-"""Students: what learns from walks, and is pruned."""
+"""Students: policies that learn from walks and are pruned."""
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -54,7 +54,7 @@ class Student:
         """Set the first steps of the encoder, `binary` (obs,) of observations with two values."""
 
     def observe(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
-        """Note which of the binary observations keep to two values in all walks of the pool."""
+        """Record which binary observations take only two values in all walks of the pool."""
 
     def retune(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
         """Set the encoder's steps anew, by how much each observation matters."""
@@ -80,7 +80,7 @@ class Student:
 
     @property
     def rounds(self) -> bool:
-        """Whether the forward pass computes with rounded numbers."""
+        """True if the forward pass computes with rounded numbers."""
         return False
 
     def round(self, target: Chip) -> None:
@@ -157,7 +157,7 @@ class DeltaStudent(Student):
         self.policy.step[binary] = 1.0
 
     def observe(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
-        """Note which of the binary observations keep to two values in all walks of the pool."""
+        """Record which binary observations take only two values in all walks of the pool."""
         found = binary.copy()
         found[found] = binary_columns(
             np.concatenate([w.observation[:, binary] for w in pool.walks])
@@ -313,7 +313,7 @@ class MlpStudent(Student):
         self.readout = frozenset({f"matrices.{last}.weight", f"biases.{last}", "past.weight"})
 
     def prepare(self, pool: WalkPool) -> None:
-        """Let windows hold the observations as they are, for `replay`; count which are not 0."""
+        """Store the raw observations in windows, for `replay`; count which are not 0."""
         pool.take_observations()
         seen = (self.policy.normalizer(torch.from_numpy(w.observation)) for w in pool.walks)
         counts = [torch.count_nonzero(each, 0) for each in seen]

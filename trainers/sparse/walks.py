@@ -271,7 +271,7 @@ class WalkPool:
         self.mean_move = distance / self.steps
 
     def take_observations(self) -> None:
-        """Let windows hold the raw observations in `seen`, and nothing in `moved`."""
+        """Store the raw observations in `seen` of windows, and nothing in `moved`."""
         self._take_labels()
         self._events, self._timesteps = None, 1
 

@@ -1,4 +1,4 @@
-"""What an adapter of a library's neurons is: a difference equation, read from the module."""
+"""Base of the adapters of a library's neurons: a difference equation, read from the module."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Numbers: TypeAlias = tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, 
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a library's neurons do that decides the convention of a file.
+    """The behaviour of a library's neurons that decides the convention of a file.
 
     reset: as in Convention; "none" of a layer that does not spike
     spikes, floor: likewise
