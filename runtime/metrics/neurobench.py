@@ -2,7 +2,7 @@
 
 NeuroBench measures a torch module of snnTorch's neurons; here the same numbers follow from the file
 and the recorded spikes, equal to the last bit. A sample is one inference. What the metrics leave
-out, or count in a way of their own, is in docs/neurobench.md.
+out, or count in a way of their own, is in docs/evidence.md.
 """
 
 from collections.abc import Iterator, Mapping

@@ -46,7 +46,7 @@ class OnnxController(Player):
         if self.metadata.get("kind") == _STEP:
             raise ArtifactError(
                 f"{path} is one step of a spiking policy, whose states whoever runs it keeps, as "
-                "docs/onnx.md shows. To play it, give the .nir file that it was made of"
+                "docs/other-tools.md shows. To play it, give the .nir file that it was made of"
             )
         self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
         self._dtype = DTYPES[self._input.type]

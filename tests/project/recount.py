@@ -2,7 +2,7 @@
 
     python recount.py policy.nir rollout.npz out.npz
 
-Written from docs/codec.md and docs/recompute.md with h5py and NumPy alone: nothing of spikedeploy
+Written from docs/codec.md and docs/evidence.md with h5py and NumPy alone: nothing of spikedeploy
 is used, so that what the toolchain counts can be checked by something that shares no line with it.
 It reads graphs of Affine, Linear, Conv2d, Flatten, LIF, CubaLIF, IF, LI, CubaLI and I, with loops
 where the clock is pipelined, and the codes "population", "rate" (regular), "delta" and "events"

@@ -1,4 +1,4 @@
-"""A script of h5py and NumPy, written from docs/recompute.md, counts what the toolchain counts."""
+"""A script of h5py and NumPy, written from docs/evidence.md, counts what the toolchain counts."""
 
 import ast
 import subprocess
