@@ -25,7 +25,7 @@ def write(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
 
 
 def _check_size(path: str | os.PathLike[str], what: str) -> None:
-    """Refuse an archive that unpacks to far more than it is: zeros shrink a thousandfold."""
+    """Refuse an archive that unpacks to far more than its size: zeros shrink a thousandfold."""
     with zipfile.ZipFile(path) as archive:
         claimed = sum(member.file_size for member in archive.infolist())
     if claimed > (most := _FREE_BYTES + _MAX_EXPANSION * Path(path).stat().st_size):

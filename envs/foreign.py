@@ -339,7 +339,7 @@ def nearest(name: str, ours: Iterable[str]) -> str | None:
 def make_foreign(
     name: str, options: Mapping[str, Any], success: str | None = None
 ) -> gymnasium.Env[Any, Any]:
-    """The environment as policies expect it: adapted, unless it has an OBSERVATION as ours have.
+    """Make the environment for policies: adapted, unless it has an OBSERVATION as ours have.
 
     name: registered id, module:Class, module:function or module:Registered-v0
     options: of its constructor, and of gymnasium.make, such as max_episode_steps; and event_camera,

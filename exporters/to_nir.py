@@ -50,8 +50,8 @@ def to_nir(
 ) -> Path:
     """Write the policy to `path` and return it.
 
-    state: "reset" or "kept" between inferences; None as the policy was trained: a DeltaSnnPolicy
-        with states that are kept, which it always keeps, all others with states that are reset.
+    state: "reset" or "kept" between inferences; None as the policy was trained: kept by a
+        DeltaSnnPolicy, which always keeps its states, and reset by all others.
     """
     path = Path(path)
     save(artifact(policy, origin, dt, state), path)

@@ -47,8 +47,8 @@ class ChipTool:
     script: its name in exporters/kit/.
     name: of the tool, as the files that its script writes have it.
     install: what installs it, for a terminal.
-    offline: what runs without a board; empty where nothing does.
-    needs: what the board needs beside it, in sentences.
+    offline: the part that runs without a board; empty where none does.
+    needs: further requirements of the board, in sentences.
     board: for a terminal, what installs that and runs the script on the board.
     page: of docs/.
     delay: [timesteps] from a spike to its arrival, where it has only one; 0 where any.

@@ -36,7 +36,7 @@ class Fault(Scale):
     """A kind of fault; without `damage_layers` it comes and goes while the chip runs.
 
     meaning: what is wrong, in a clause.
-    what: that is counted.
+    what: the parts that are counted.
     source: where the levels come from.
     damage_layers: returns the layers of a program with the fault; how many parts it hit, of how
         many.
@@ -96,7 +96,7 @@ def inject(program: Program, faults: Faults) -> Program:
 
 
 def _draw_hits(size: int, share: float, rng: np.random.Generator) -> Mask:
-    """(size,) that are hit: this share of them, at least one; a larger share includes these."""
+    """Draw a mask (size,) of hits: this share, at least one; a larger share includes these."""
     hit = np.zeros(size, np.bool_)
     hit[rng.permutation(size)[: max(1, round(share * size)) if share else 0]] = True
     return hit

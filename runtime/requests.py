@@ -45,7 +45,7 @@ def parse_requests(
     """The requests in texts such as `name:level` and `name=number`, without those of level 0.
 
     option: of the command line, such as "--fault".
-    owner: has these scales, as in "a chip has no fault 'burnt'".
+    owner: noun for messages, as in "a chip has no fault 'burnt'".
 
     Raises ValueError with a sentence for the user.
     """

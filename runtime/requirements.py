@@ -78,7 +78,7 @@ def _fits(found: str, wanted: str) -> bool:
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    """The leading numbers of a version; 2.13.0+cpu is 2.13.0, whose zeros at the end count not."""
+    """The leading numbers of a version; 2.13.0+cpu is 2.13.0, whose trailing zeros do not count."""
     numbers = [int(part) for part in re.match(r"[\d.]*", text)[0].split(".") if part]  # type: ignore[index]
     while numbers and numbers[-1] == 0:
         numbers.pop()

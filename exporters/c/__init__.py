@@ -12,6 +12,6 @@ int8          a float network in 8-bit weights: what its C equals bit for bit
 declarations  numbers and arrays of C in the narrowest types; templates filled
 packaging     which files there are, those around the sources, and how all are written
 templates/    policy.*, rows.c, registers.c, cuba.c, integrate.c: the network;
-              codec.c, encode_*.c, decode.c: observation to action; *_i16: the same in 16 bits;
+              codec.c, encode_*.c, decode.c: observation to action; *_i16: in 16 bits;
               dense_*: 8-bit weights; selftest*, run_*: self-tests; the rest stands around
 """

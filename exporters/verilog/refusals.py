@@ -15,7 +15,7 @@ _WORD = 32
 
 
 def check_program(program: Program) -> None:
-    """Refuse programs that need something that the core lacks; RuleError."""
+    """Refuse programs that need a feature that the core lacks; RuleError."""
     arithmetic, chip = program.chip.arithmetic, program.chip.name
     if not isinstance(arithmetic, CubaFixedPoint):
         raise RuleError(

@@ -203,7 +203,7 @@ def _events_grid(where: str, data: nir.EventData, dt: float, most: int) -> NDArr
 
 
 def _add_up(cells: NDArray[Any], values: NDArray[Any] | None, size: int) -> NDArray[Any]:
-    """(size,) of what is in each cell; several events of a neuron in a timestep add up."""
+    """Sum up each cell (size,); several events of a neuron in a timestep add up."""
     most = np.unique(cells, return_counts=True)[1].max(initial=0) if values is None else size
     rows = np.zeros(size, np.uint8 if values is None and most <= 255 else np.float64)
     np.add.at(rows, cells, 1 if values is None else values.astype(np.float64))
@@ -211,7 +211,7 @@ def _add_up(cells: NDArray[Any], values: NDArray[Any] | None, size: int) -> NDAr
 
 
 def _check_events(where: str, *arrays: NDArray[Any]) -> None:
-    """Refuse arrays of events, (samples, events) each, that are no numbers, or too long."""
+    """Refuse arrays of events, (samples, events) each, that are not numbers, or too long."""
     kinds = ("iu", "iuf", "iuf")  # of neurons, times and values
     found = [np.asarray(each) for each in arrays]
     known = all(each.dtype.kind in kind for each, kind in zip(found, kinds, strict=False))

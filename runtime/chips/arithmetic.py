@@ -155,10 +155,10 @@ class ArithmeticDefaults(Protocol):
         return []
 
     def transport_remarks(self, layers: Sequence[Layer], network_input: str) -> list[str]:
-        """A remark on what carries spikes from neuron to neuron, where that is a choice."""
+        """Return a remark on the transport of spikes between neurons, where that is a choice."""
         return []
 
-    # what the design rules ask
+    # used by the design rules
 
     @property
     def spikes_at_threshold(self) -> bool:
@@ -179,7 +179,7 @@ class ArithmeticDefaults(Protocol):
         """Return it with weights of both signs in one list; None without that choice."""
         return None
 
-    # what the analysis and the measures ask
+    # used by the analysis and the metrics
 
     @property
     def decay_one(self) -> int:
@@ -269,7 +269,7 @@ class Arithmetic(ArithmeticDefaults, Protocol):
 def check_weights_left(layer: Layer, synapses: Sequence[Synapses], why: str) -> None:
     """Refuse the layer if all of its weights become 0 in these synapses.
 
-    why: what the largest weight is too small beside, and what to do.
+    why: the number beside which the largest weight is too small, and what to do.
     """
     before = max(magnitude(s.weight) for s in layer.synapses)
     if before > 0 and not any(s.weight.any() for s in synapses):
@@ -282,7 +282,7 @@ def check_weights_left(layer: Layer, synapses: Sequence[Synapses], why: str) -> 
 def check_thresholds(layer: Layer, whole: Numbers, why: str) -> Numbers:
     """Refuse thresholds below 0, and those above it that became 0; return the whole ones (N,).
 
-    why: what those are too small beside, and what to do.
+    why: the number beside which those are too small, and what to do.
     """
     if (layer.threshold < 0).any():
         raise RuleError(
@@ -299,7 +299,7 @@ def check_thresholds(layer: Layer, whole: Numbers, why: str) -> Numbers:
 
 
 def refuse_convention(convention: Convention, chip_name: str) -> NoReturn:
-    """Refuse what neurons cannot do that send one spike above their threshold, without a floor."""
+    """Refuse conventions other than one spike above the threshold, and no floor."""
     raise RuleError(
         f"rule convention: spikes {convention.spikes!r}, floor {convention.floor!r}: a neuron "
         f"on {chip_name} sends one spike where its membrane is above the threshold, and its "

@@ -105,7 +105,7 @@ class Convolutions:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of what fits on a chip; None, or nothing, is none that anyone published.
+    """Limits of what fits on a chip; None, or an empty value, where no limit is published.
 
     primitives: names of the NIR nodes that the chip has, maps without a state included.
     inputs: input channels of the chip.
@@ -114,7 +114,7 @@ class Limits:
     fan_in: synapses of a neuron.
     fan_out: synapses that a spike can reach in the neurons of the chip, outputs not counted where
         those are limited by themselves.
-    fan_out_mean: the same, the mean over the chip's neurons.
+    fan_out_mean: mean of these over the chip's neurons.
     input_targets: neurons that can have synapses from inputs.
     output_sources: neurons that can have synapses onto outputs.
     destinations: postsynaptic layers that a layer can have.
@@ -463,7 +463,7 @@ def _convert_entries(kind: Any, entries: Mapping[str, Any], **given: Any) -> dic
 
 
 def _build(make: Any, *of: Any, **values: Any) -> Any:  # noqa: ANN401
-    """An object of these values; ChipError where they are inconsistent."""
+    """Build an object of these values; ChipError where they are inconsistent."""
     try:
         return make(*of, **values)
     except (ArithmeticError, ValueError) as error:
@@ -534,6 +534,6 @@ def _check_names(what: str, found: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _suggest(name: str, known: Iterable[str]) -> str:
-    """A hint at what may have been meant."""
+    """Suggest a similar name."""
     close = difflib.get_close_matches(name, list(known), n=2)
     return f"; did you mean {' or '.join(map(repr, close))}" if close else ""

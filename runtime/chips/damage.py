@@ -21,12 +21,12 @@ _WORD = 1 << 64
 class Damage:
     """The parts that a fault hit.
 
-    text: the fault as it was asked for.
+    text: the fault as requested.
     name: key of runtime.faults.FAULTS.
     number: of the fault's unit.
     hit: how many.
     of: out of how many.
-    what: that were counted, such as "neurons".
+    what: the parts that were counted, such as "neurons".
     over_time: whether they are counted as the chip runs; else they are parts of the chip.
     """
 
@@ -39,7 +39,7 @@ class Damage:
     over_time: bool = False
 
     def since(self, before: "Damage") -> "Damage":
-        """The part after an earlier count of the same."""
+        """Return the damage since an earlier count."""
         return replace(self, hit=self.hit - before.hit, of=self.of - before.of)
 
 

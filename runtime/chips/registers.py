@@ -81,7 +81,7 @@ class Register:
         return held, (held != x).astype(np.int64)
 
     def describe(self) -> str:
-        """Its width and what it does when it is full."""
+        """Describe its width and its behaviour on overflow."""
         return f"{self.bits} bits, {_WORDS[self.overflow]}"
 
 
@@ -122,7 +122,7 @@ Rounding = choices.Rounding
 
 
 def round_values(values: NDArray[Any], rounding: Rounding) -> NDArray[np.int64]:
-    """The values as whole numbers: the nearest, half to even; or without their fractions."""
+    """Round to whole numbers: the nearest, half to even; or without their fractions."""
     if rounding not in get_args(Rounding):
         raise ConfigError(f"rounding {rounding!r} is unknown. Choose 'nearest' or 'truncate'.")
     # the product with a scale may fall a last bit short of the whole number that it means

@@ -127,7 +127,7 @@ class Codec(StoredRecord):
     def encode_episode(self, obs: ArrayLike, seed: int = 0) -> NDArray[np.uint8]:
         """Spikes (S, T, M) of the successive observations (S, obs) of one robot.
 
-        They are those of an episode from its beginning, which a code that remembers needs.
+        The episode starts here, which matters to a code with a memory.
         """
         state = self.encoder.start(seed)
         return np.concatenate([self.encode(row[None], state) for row in observed_numbers(obs)])
@@ -170,7 +170,7 @@ class Codec(StoredRecord):
 def observed_numbers(obs: ArrayLike) -> NDArray[Any]:
     """An observation as an array of real numbers; ObservationError where it is anything else.
 
-    Nothing is converted that would lose a part: complex numbers, dates, records, masked values.
+    Lossy conversions are refused: complex numbers, dates, records, masked values.
     """
     if isinstance(obs, np.ma.MaskedArray) and np.ma.getmaskarray(obs).any():
         raise ObservationError(

@@ -5,7 +5,7 @@ Random bytes as a chip draws them: one xorshift32 generator for each neuron of e
     x ^= x << 13 ; x ^= x >> 17 ; x ^= x << 5         the triple of (Marsaglia 2003, p. 4)
 
 A step is linear over GF(2), so T steps from a state are the exclusive or of T steps from each of
-its four bytes, which are looked up: the same bits as step by step, in a tenth of the time.
+its four bytes, which are looked up. The bits equal those of single steps, in a tenth of the time.
 """
 
 from dataclasses import dataclass

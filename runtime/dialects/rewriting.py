@@ -73,7 +73,7 @@ def _importer(name: str) -> Importer:
 
 
 def _convention(own: Convention, name: str) -> Convention:
-    """The tool's convention; refuses what of ours it cannot be."""
+    """Return the tool's convention; refuse parts of ours that it cannot express."""
     tool, read_by = _importer(name), preset(name)
     if own.reset not in tool.resets:
         known = " or ".join(tool.resets)

@@ -1,4 +1,4 @@
-"""The tools: how each reads a NIR file, what it means by one that it wrote, what it can be given.
+"""The tools: how each reads a NIR file, the meaning of those it wrote, and what it accepts.
 
 A tool is a block of this file, or a file of its own: its import, its export, and what its import
 accepts. Imports were compared with the tools themselves, and the exports of snnTorch, Norse and
@@ -220,7 +220,7 @@ def _norse_means(name: str, node: nir.NIRNode, convention: Convention) -> nir.NI
 
 
 def _norse_finish(node: nir.NIRNode, neuron: DiscreteNeuron) -> nir.NIRNode:
-    """The neurons with the r that it ignores, and we do not."""
+    """Return the neurons with r = 1: Norse ignores r, and we do not."""
     return with_parameters(node, r=np.ones_like(node.tau)) if isinstance(node, nir.LIF) else node
 
 

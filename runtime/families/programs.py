@@ -12,10 +12,10 @@ Each layer has its registers under the names of the chip's own tools:
 A weight counts weights[m][n] * 2**exponent. The axon of a bias is an input like any other. Readers
 of tools' own traces (tool_traces) read registers by the same names.
 
-A recorded run is `expected.json`, or what a tool or a board wrote like it. It names the file of its
-program, which lies beside it, and the digest of that file. Its input is a list of events
-[timestep, axon], one for each spike. Where the program resets its states in each control step, the
-trace is one inference from zero states after another.
+A recorded run is `expected.json`, or a file of that form from a tool or a board. It names
+the file of its program, which lies beside it, and the digest of that file. Its input is a list of
+events [timestep, axon], one for each spike. Where the program resets its states in each control
+step, the trace is a sequence of inferences from zero states.
 """
 
 import hashlib
@@ -63,8 +63,8 @@ _NO_TOOL = (
 class _Form:
     """Writer and reader of a family's registers.
 
-    written: the fields that stand beside those of all families.
-    read: the same fields onto a layer that has only name and synapses yet.
+    written: returns the fields that stand beside those of all families.
+    read: sets these fields on a layer that has only name and synapses so far.
     """
 
     written: Callable[[Layer, Any], Registers]
@@ -144,7 +144,7 @@ def _chip_of(fields: Fields) -> Chip:
 
 
 def _check(program: Program) -> None:
-    """Refuse what a record cannot say."""
+    """Refuse what a record cannot express."""
     name = program.chip.name
     if name not in CHIPS or datasheet(name).arithmetic != program.chip.arithmetic:
         raise ConfigError(

@@ -262,7 +262,7 @@ def _xylo_synapses(source: str, weights: Integers, delay: int) -> list[Synapses]
 
 
 def _aliases(spec: Fields, size: int) -> tuple[tuple[int, ...], ...]:
-    """The neurons that each neuron's spikes are counted for too."""
+    """Return the aliases: neurons for which each neuron's spikes count too."""
     if not spec.has_content("aliases"):
         return ()
     rows = spec.lists("aliases", least=0, most=size - 1)

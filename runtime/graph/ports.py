@@ -43,7 +43,7 @@ def ports(nodes: Mapping[str, nir.NIRNode]) -> tuple[Port, ...]:
 
 
 def by_port(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[str, Rows]:
-    """The raster (B, T, *shape) of each port, by name; that of a single port needs no name.
+    """Return the raster (B, T, *shape) of each port by name; a single port needs no name.
 
     That of a single port may also be (B, T, M), in C order, as a codec encodes it.
 

@@ -3,23 +3,23 @@
 No table includes transferring observations and actions, and none but `truenorth` static power: use
 them to compare networks, not to size batteries.
 
-The terms of an inference, on the chip and of the host beside it:
+The terms of an inference, on the chip and on its host:
 
-operations  synaptic operations, which multiply where a spike is graded; of a float network
-            multiply-accumulates
-bias        the always-on axon that carries the biases; of a float network the addition of each
-updates     neurons with something to add up
-idle        neurons that a chip only looks at
-messages    packets between layers, and to the host
-spikes      what neurons pay for sending one, where a table prices that apart
-encoder     numbers to spikes; of a float network the reading of its observations
-readout     weights and constants that the host applies to what leaves the chip
-resets      states that are set to 0 between inferences
-activations units of a float network that are written and read between its layers
+operations: synaptic operations, which multiply where a spike is graded; in a float network
+    multiply-accumulates.
+bias: the always-on axon that carries the biases; in a float network the addition of each.
+updates: neurons with something to add up.
+idle: neurons that a chip only checks.
+messages: packets between layers, and to the host.
+spikes: cost of sending a spike, where a table prices it separately.
+encoder: numbers to spikes; in a float network reading its observations.
+readout: weights and constants that the host applies to the output of the chip.
+resets: states that are set to 0 between inferences.
+activations: units of a float network that are written and read between its layers.
 
-What the host does (`encoder`, `readout`) has the same prices beside every table, as no table of a
-chip has any for it: those of Horowitz 2014 in `energy_tables`. The counts of these operations are
-derived, and the least that will do. The normalisation of observations folds into thresholds and
+The host's work (`encoder`, `readout`) has the same prices beside every table, as no table of a chip
+has any: those of Horowitz 2014 in `energy_tables`. The counts of these operations are derived lower
+bounds. The normalisation of observations folds into thresholds and
 weights, and tanh or argmax is the same for all policies: neither is counted.
 """
 

@@ -79,7 +79,7 @@ hidden_tanh{{ layer.fraction }}({{ sum }})
 {% endfor %}
 {% endmacro %}
 
-{# The same with two products and their sum in one instruction. #}
+{# A layer with two products and their sum in one instruction. #}
 {% macro pairs(layer) %}
 {% set inputs = layer.factors | length %}
 {% print local_table("pairs", layer.by_block(layer.pairs), "int32_t") %}

@@ -91,7 +91,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         timesteps: int | None,
         limits: bool,
     ) -> Sequence[Layer]:
-        """The float layers as integers, with as much headroom as is asked for."""
+        """Return the float layers as integers, with the requested headroom."""
         if quantisation.headroom == "proven":
             for layer in network.layers:
                 if layer.graded:

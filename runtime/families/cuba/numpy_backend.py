@@ -48,7 +48,7 @@ class Raster:
     """Spikes (T, B, M) of one source in a window, and counts of them, each found once.
 
     rows: uint8 or bool, 0 or 1.
-    bits: the same in bool, on which NumPy searches and counts faster than on numbers.
+    bits: `rows` in bool, on which NumPy searches and counts faster than on numbers.
     """
 
     __slots__ = ("_axons", "_spikes", "bits", "rows")

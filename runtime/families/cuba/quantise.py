@@ -78,7 +78,7 @@ def exponent_and_share(
 def describe_range(
     layer: Layer, registers: CubaRegisters, timesteps: int | None, drifts: bool = True
 ) -> str:
-    """A sentence on what registers hold of a quantised layer; "" where that is all, or it leaks.
+    """Return a warning if registers may not hold a quantised layer; "" if they do, or it leaks.
 
     Of layers that spike the current is looked at, where it hardly leaks: thresholds bound the rest.
     Nothing bounds what sigma-delta neurons add up. A graded spike counts as one, so that net spikes
@@ -157,7 +157,7 @@ def _reach(layer: Layer) -> Floats:
 
 
 def _steady(current: Floats, membrane: Floats) -> Floats:
-    """Membrane after 1 has arrived in every timestep for ever; infinite without a leak."""
+    """Return the membrane for a constant arrival of 1; infinite without a leak."""
     with np.errstate(divide="ignore"):
         return np.asarray(1 / ((1 - current) * (1 - membrane)))
 
@@ -253,7 +253,7 @@ def share_thresholds(scale: Floats, thresholds: Floats, most: int) -> Floats:
 
 
 def _starts(used: Floats, ratio: float) -> Floats:
-    """The smallest of each group, whose others are at most so many times as large."""
+    """Return the smallest of each group, whose others are at most a given ratio larger."""
     starts: list[float] = []
     for value in used.tolist():
         if not starts or value > starts[-1] * ratio:

@@ -120,7 +120,7 @@ class IntegrateAndFireRules:
         self._check_order()
 
     def _check_order(self) -> None:
-        """Refuse a late reset, or a queue, that the other rules leave no place for."""
+        """Refuse a late reset, or a queue, that contradicts the other rules."""
         rules = self.leak_order, self.checks, self.spikes_max
         if self.reset_at == "leak" and rules != ("first", "step", 1):
             raise ChipError(
@@ -302,7 +302,7 @@ def add(
 
 
 def floor_of(rules: IntegrateAndFireRules, convention: Convention, layer: Layer) -> Integers:
-    """Below what the membranes (N,) cannot fall; no register is that wide."""
+    """Return the lower bound of membranes (N,); without one, a number below every register."""
     if layer.floor is not None:
         return np.asarray(layer.floor, np.int64)
     chips = -(1 << 62) if rules.floor is None else rules.floor

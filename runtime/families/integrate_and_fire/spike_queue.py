@@ -71,12 +71,12 @@ class WorkedEvent:
 
 
 class Crossbar:
-    """One copy of the neurons at work.
+    """State of one copy of the neurons.
 
-    wired: what it is a copy of.
+    wired: the neurons that it is a copy of.
     membrane: (N,) now.
-    done: what it worked on so far.
-    most: events that it may work on.
+    done: events processed so far.
+    most: events that it may process.
     """
 
     def __init__(self, wired: CrossbarNeurons, membrane: Integers, most: int = _ENDLESS) -> None:
@@ -119,7 +119,7 @@ class Crossbar:
             self.work(self._queue.popleft(), entries_held=1)
 
     def work(self, event: Event, entries_held: int = 1) -> None:
-        """Work on an event, which holds so many entries meanwhile, and queue the spikes."""
+        """Process an event, which occupies some entries meanwhile, and queue the spikes."""
         if len(self.done) >= self.most:
             raise RuleError(
                 f"rule queue: the chip is not done after {self.most} events. Weaken recurrent "
