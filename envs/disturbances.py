@@ -176,7 +176,7 @@ def _spread(env: gymnasium.Env[Any, Any]) -> FloatArray:
 
 
 class _Sensors(SeededWrapper):
-    """Changes what sensors measure, within the range of each observation."""
+    """Base of disturbances of sensor readings, clipped to the range of each observation."""
 
     WITHOUT: ClassVar[tuple[str, ...]] = ("lidar",)
 

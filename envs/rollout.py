@@ -25,7 +25,7 @@ _LARGEST_REWARD = 1e100  # squares of sums of such rewards are finite
 
 
 class _Controller(Protocol):
-    """Maps observations to actions."""
+    """A map from observations to actions."""
 
     def reset(self, seed: int) -> None:
         """Start a new episode; stochastic controllers draw from the seed."""
@@ -139,7 +139,7 @@ def _check_rows(arrays: Mapping[str, Any], infos: Mapping[str, Any]) -> None:
 
 
 class EpisodeRecorder:
-    """Records an episode that the caller steps.
+    """Recorder of an episode that the caller steps.
 
     observation: (obs,) latest
     info: of the latest step

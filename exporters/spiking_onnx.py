@@ -173,7 +173,7 @@ def _rate(graph: OnnxGraph, encoder: RateEncoder, x: Value, timesteps: int) -> l
 
 
 class _Network:
-    """Writes the layers of a plan and their readout, one timestep after another."""
+    """Writer of the layers of a plan and their readout, one timestep after another."""
 
     def __init__(self, graph: OnnxGraph, plan: Plan) -> None:
         self._graph, self._plan, self._program = graph, plan, plan.program

@@ -86,7 +86,7 @@ class Encoder:
         return np.array(rows)
 
     def _events(self, x):
-        """Counts of events, of channels or spread over timesteps."""
+        """Return counts of events, as channels or spread over timesteps."""
         most, code = self._encoder["most"], self._encoder["code"]
         n = np.minimum(np.maximum(np.floor(x), 0), most).astype(np.int64)
         if code == "spread":

@@ -107,7 +107,7 @@ def _prepared(
 
 
 class Recompiler:
-    """Compiles a network again when its numbers have changed, as training through a chip does.
+    """A compiler for a network whose numbers change, as in training through a chip.
 
     The graph is lowered once. Rules on capacity are judged once, of the first numbers; what the
     arithmetic cannot compute is refused each time.
@@ -280,7 +280,7 @@ def _layer(artifact: Artifact, graph: LayerGraph, name: str) -> Layer:
 
 
 def _rows(artifact: Artifact, program: Program) -> int | None:
-    """Rows of an inference; None where unknown, or where states continue from one to the next."""
+    """Return the rows of an inference; None if unknown, or if states are kept between them."""
     reset = artifact.convention.state == "reset"
     return program.rows(artifact.codec.timesteps) if artifact.codec is not None and reset else None
 

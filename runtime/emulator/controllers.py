@@ -23,7 +23,7 @@ _STREAM = 2  # keeps the draws apart from those of an environment with the same 
 
 
 class Sampler(Copyable):
-    """Draws from the softmax of scores; the seed of the episode decides every draw.
+    """A sampler of the softmax of scores; the seed of the episode decides every draw.
 
     chooses: whether the policy chooses one of several actions, which is all that can be drawn.
     """

@@ -184,7 +184,7 @@ def count(
     traces: Mapping[str, LayerTrace] | None = None,
     waiting: Collection[str] = (),
 ) -> Counts:
-    """Counts (B, L, E) of one inference, the slow way: the specification of a Machine's ledger.
+    """Count the events (B, L, E) of one inference: the slow specification of a Machine's ledger.
 
     spikes: (B, T, N) of the input and of each layer that can spike, in all rows that they run; a
         graded one counts as one.

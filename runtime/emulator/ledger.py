@@ -130,7 +130,7 @@ def count_events(
     steps: int,
     lost: Mapping[str, NDArray[Any]] = MappingProxyType({}),
 ) -> Counts:
-    """Counts (S, L, E) that follow from what neurons did in S windows.
+    """Count the events (S, L, E) that follow from the activity of neurons in S windows.
 
     spikes: (S, N) of each neuron of the input and of each layer.
     updates, overflows: (S, L) neuron-timesteps with something to add up; numbers that did not fit.
@@ -172,7 +172,7 @@ def count_events(
 
 
 def state_count(layer: Layer, program: Program) -> int:
-    """States that a neuron of a layer holds: those of the chip, without a current that is 0 again.
+    """Count the states of a neuron: those of the chip, without a current that decays at once.
 
     A current that keeps nothing from one timestep to the next needs no memory of its own.
     """

@@ -91,7 +91,7 @@ def _run(inputs: int, neurons: int, spikes: list[int]) -> Ledger:
 
 
 def _totals(ledger: Ledger) -> dict[str, float]:
-    """Counts, and energies [J]; SANA-FE's inputs send messages and cost nothing else."""
+    """Return counts and energies [J]; SANA-FE's inputs send messages and cost nothing else."""
     prices = TABLES["sanafe"].joules
     counts = {name: sum(map(ledger.total, events)) for name, events in _COUNTS.items()}
     parts = {

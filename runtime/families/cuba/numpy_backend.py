@@ -372,7 +372,7 @@ Observation: TypeAlias = tuple[list[Numbers], list[tuple[Any, Counts | None, boo
 
 
 class EventCounter:
-    """Counts the events of windows, those of many in little more time than those of one.
+    """A counter of the events of windows; many windows cost little more time than one.
 
     windows: of the layers, in their order.
     window_steps: of each layer the timesteps in which its bias axon spikes and the host reads it.
