@@ -52,9 +52,9 @@ if TYPE_CHECKING:
 class LoadedNetwork:
     """A network or policy from a `.nir` file, on a chip or in float.
 
-    path: of the file
+    path: path of the file
     artifact: the network, its codec if it drives a robot, its convention
-    chip: as the command line takes it, or "float"
+    chip: name as on the command line, or "float"
     on_chip: settings with which it is compiled for that chip
     reading: options by which the file was read, beside what it states
     """
@@ -167,7 +167,7 @@ class NetworkRun(Emulation):
     def plot(self, path: str | Path | None = None) -> "Figure":
         """The spikes of every layer as a figure of matplotlib; needs no display.
 
-        path: of a PNG to write
+        path: PNG to write
         """
         from spikedeploy.reports.plots import raster_figure, save
 
@@ -255,7 +255,7 @@ def load(
 ) -> LoadedNetwork:
     """Return the network of a `.nir` file, a run folder, or a shipped spiking policy, in float.
 
-    path: of the file; a run folder or "last" is exported first
+    path: path of the file; a run folder or "last" is exported first
     written_by: the tool that exported the file, as whose author meant it: `--from`
     like: the tool as whose import reads it
     dt: [s]; like what follows an option of Convention, and precedes the file
@@ -295,7 +295,7 @@ def compare(
         for, else loihi1
     seed: the first; from 10,000 on, which no training uses
     workers: processes; with several, a script needs `if __name__ == "__main__"`
-    options: of the environment
+    options: options of the environment
     setup: fields of spikedeploy.setup.Setup, as in fault=("dead-neurons:2",)
     """
     from spikedeploy.comparison.evaluation import compare_policies
@@ -378,7 +378,8 @@ def adapt(
     limits: refuse what breaks a design rule of the chip
     checkpoint: file that is written while it is trained; `resume` goes on from it
     interrupt: requests a stop, for a caller that catches signals itself
-    settings: of trainers.adapt.AdaptationSettings: epochs, batch, rate, patience, held_out, seed
+    settings: settings of trainers.adapt.AdaptationSettings: epochs, batch, rate, patience,
+        held_out, seed
     """
     from spikedeploy.trainers import adapt as adapting
 
@@ -437,10 +438,10 @@ def export(
 
     network: with neurons as `on_chip` takes them, or what `on_chip` made of one; or a run folder,
         "last", a `.nir` file
-    path: of the file, or of the folder of c, verilog and program
+    path: path of the file, or of the folder of c, verilog and program
     input_shape: of one timestep of one sample, where `on_chip` did not have it
     dt: [s] of a timestep
-    to: of a run or file: "nir", "onnx", "c", "verilog", "program" or "xylo"
+    to: format of a run or file: "nir", "onnx", "c", "verilog", "program" or "xylo"
     options: of the export: chip, env, force, and those of docs/export.md
 
     Raises ConfigError where the written file does not do what the policy does.
@@ -488,9 +489,9 @@ def train(
 
     what: a recipe; with `recipe`, `network` or `chip` the environment: a name, a class, a function
         that makes one, or an instance
-    recipe: for any environment; with a network "ppo-network" by default
+    recipe: a recipe for any environment; with a network "ppo-network" by default
     network: a network of the user: torch module, its class, or `.nir` file; docs/own-policy.md
-    chip: in whose integers it is trained; without a network a policy that fits it
+    chip: chip in whose integers it is trained; without a network a policy that fits it
     overrides: settings: {"steps": 50_000, "policy": {"timesteps": 4}}, or text as `--set` takes it
     options: of trainers.train.train: seed, budget, resume, runs, quiet
     """
@@ -532,7 +533,7 @@ def distill(
     teacher: a file, a run folder, a shipped policy, a function of an observation, or a model of
         Stable-Baselines3
     network: the student, of the user: a torch module, its class, or a `.nir` file
-    chip: in whose integers it is trained
+    chip: chip in whose integers it is trained
     size, encoder, timesteps, budget, dense: as on the command line
     overrides, options: as in `train`
     """

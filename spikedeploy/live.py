@@ -82,7 +82,7 @@ class WatchedLoop(PacedLoop):
     rate: [Hz]; None for that of the environment
     deadline: as the option; None for the period
     lasting: likewise; None for as many episodes as were asked for
-    tables: of energy that were asked for; none for the one that reports quote
+    tables: energy tables of --energy; none for the one that reports quote
     """
 
     def __init__(
@@ -182,14 +182,14 @@ _MOST_NEURONS = 4096  # of a layer whose spikes are sent
 class WatchedStep:
     """A control step that was taken.
 
-    number: of the step in its episode, from 0
+    number: index of the step in its episode, from 0
     action: (act,) or ()
-    reward: of the step
+    reward: reward of the step
     total: return so far
     info: numbers of the environment
-    pose: of the scene; None without one
-    inference: of a policy that spikes
-    ledger: of this inference; None where it cannot be counted
+    pose: pose of the scene; None without one
+    inference: inference of a policy that spikes
+    ledger: ledger of this inference; None where it cannot be counted
     policy: time of the policy [s]
     missed: deadlines that the policy missed so far, in all episodes
     skipped: periods so far, likewise
@@ -217,7 +217,7 @@ def event(kind: str, data: Mapping[str, Any]) -> bytes:
 def steps_event(batch: Sequence[WatchedStep], table: str, deadline: float) -> bytes:
     """Consecutive control steps as an event.
 
-    table: of the energy
+    table: energy table
     deadline: [s] of the policy
     """
     last, poses = batch[-1], [step.pose for step in batch if step.pose is not None]
@@ -259,7 +259,7 @@ class _Episode:
 
     head: label, scene, period [s] and the like, energy table and deadline
     steps: the last ones
-    outcome: of an episode that is over
+    outcome: outcome of an episode that is over
     """
 
     head: Mapping[str, Any]
@@ -270,7 +270,7 @@ class _Episode:
 class LiveView:
     """The view of a run, with a server of its own; to be closed.
 
-    address: of its page
+    address: address of its page
     """
 
     def __init__(self, port: int = 0) -> None:

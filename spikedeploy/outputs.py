@@ -61,7 +61,7 @@ def check_output(
 ) -> None:
     """Refuse to write to `path` where that would destroy something.
 
-    option: of the command, for messages
+    option: option of the command, for messages
     inputs: files and folders that the command reads; names of anything else are passed over
     force: whether a file that exists may be replaced
     ours: whether an existing file is an earlier output of the command

@@ -51,8 +51,8 @@ def record_comparison(
     """The first episode of a row and its worst one, beside those of its references.
 
     main: index of the row, which is the last of each episode's players
-    options: of the environment
-    table: of the energy
+    options: options of the environment
+    table: energy table
     """
     row = comparison.rows[main]
     entries = [*reversed(row.entry.references), row.entry]
@@ -140,13 +140,13 @@ def first_difference(one: "RecordedEpisode", other: "RecordedEpisode") -> dict[s
 class RecordedEpisode:
     """An episode of S control steps.
 
-    label: of the policy, as in tables
-    kind: of the candidate
+    label: label of the policy, as in tables
+    kind: kind of the candidate
     played: observations, actions, rewards
-    shapes: of the scene, or a film; None where the environment shows nothing
+    shapes: shapes of the scene, or a film; None where the environment shows nothing
     poses: (F, N, 7) or (F, 1, 3), see Scene, every `every` control steps
-    period: of a control step [s]; None where it is not known
-    network: of a policy that spikes
+    period: time of a control step [s]; None where it is not known
+    network: network of a policy that spikes
     """
 
     label: str
@@ -172,7 +172,7 @@ def record(
     """Play an episode in an environment.
 
     chip: or "float"; None for what does not spike
-    table: of the energy
+    table: energy table
     filmed: take pictures of an environment that no scene is known of
     """
     player = open_with_traces(candidate, chip, env, "each", setup)
@@ -235,7 +235,7 @@ def open_with_traces(
 ) -> Player:
     """The player of a candidate; where it spikes, its network keeps those of the last step.
 
-    rows: of its ledger
+    rows: rows of its ledger
     """
     if candidate.format != ".nir":
         return open_policy(candidate, chip, env, setup)
@@ -319,7 +319,8 @@ def costs_of_each(ledger: Ledger, table: str) -> tuple[Floats, Floats]:
 def network_json(trace: NetworkTrace, most_neurons: float = math.inf) -> dict[str, Any]:
     """Spikes, membranes, operations and energy; what is too large is left out, by name.
 
-    most_neurons: of a layer whose spikes are shown, twice as many as of one with membranes
+    most_neurons: most neurons of a layer whose spikes are shown, twice as many as of one with
+        membranes
     """
     layers, left_out = [], []
     for name, raster in trace.rasters.items():

@@ -50,7 +50,7 @@ def student(
     """Recipe and overrides of a student; what is None stays the recipe's.
 
     network: module:Class or a .nir file of the user
-    chip: in whose integers it is trained; None in float
+    chip: chip in whose integers it is trained; None in float
     size: neurons of the hidden layers, "64,64"
     encoder: "population", "rate" or "delta"
     budget, dense: of a sparse student, and that it is none

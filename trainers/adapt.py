@@ -65,10 +65,10 @@ class AdaptationSettings:
 
     epochs: most passes over the samples
     batch: samples of an update
-    rate: of learning, of Adam; halved whenever half of the patience is over
+    rate: learning rate of Adam; halved whenever half of the patience is over
     patience: validations without a better result, after which it stops
     held_out: share of the samples that validate, and are not trained on
-    seed: of the samples held out and of the order of the others
+    seed: seed of the samples held out and of the order of the others
     """
 
     epochs: int = 60
@@ -117,9 +117,9 @@ class Adaptation:
     """The best network that was found, and its scores.
 
     artifact: the best network, with its convention
-    chip: as it was named
+    chip: name as it was given
     trained, held_out: numbers of samples
-    updates: of training
+    updates: number of gradient updates
     float_twin, before, after: scores of the network in float, of its float weights on the chip, and
         of the artifact on the chip
     finished: False where it was stopped; the artifact is the best until then
@@ -239,7 +239,7 @@ def adapt(
 class _Training(Learner):
     """The loop, and what its checkpoints hold.
 
-    module: whose network is trained; `policy` is the best network until now
+    module: the trained module; `policy` is the best network until now
     samples: (B, T, *takes)
     classes: (B,) or None
     targets: (B, N) outputs of the float twin, summed over time

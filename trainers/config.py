@@ -152,8 +152,8 @@ class DeltaSnnConfig(_Section):
         nothing from one timestep to the next, and events reach the readout through integrators
     most, code: events of an observation in a timestep, and on which channels; see
         runtime.codec.delta
-    timesteps: of a control step. A pipelined chip acts on what it sees now from 3 on, with 1 it
-        acts on what it saw one to two control steps before
+    timesteps: timesteps of a control step. A pipelined chip acts on what it sees now from 3 on,
+        with 1 it acts on what it saw one to two control steps before
     clock: "pipelined", as on chips whose cores all advance in each timestep, or "gated", for
         software and hardware that can update one layer after the other (runtime.convention.Clock)
     """
@@ -184,8 +184,8 @@ class DeltaMlpConfig(_Section):
     """Signed events into a layer of sigma-delta ReLU neurons, and past it into the readout.
 
     hidden, skip, most, code, clock: as in DeltaSnnConfig
-    threshold: of a neuron, below which a change of its activation is not sent [standard deviations
-        of the activation]
+    threshold: threshold of a neuron, below which a change of its activation is not sent [standard
+        deviations of the activation]
     """
 
     kind: Literal["delta-mlp"] = "delta-mlp"

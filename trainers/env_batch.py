@@ -58,10 +58,10 @@ class Steps:
 class Episode:
     """The episode under way of one copy.
 
-    seed: of its reset
+    seed: seed of its reset
     support: (S + 1,) support force at the reset and at each step; nan where it was never set
     actions: (S, ...) as the environment took them
-    info: of its reset
+    info: info of its reset
     """
 
     seed: int
@@ -82,7 +82,7 @@ class EnvBatch:
 
     observation: (B, obs) current
     episodes: (B,) under way
-    returns: of the episodes that ended, oldest first
+    returns: returns of the episodes that ended, oldest first
     taken: steps of all copies together
     """
 

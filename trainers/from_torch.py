@@ -301,7 +301,7 @@ class _Tracer(TorchFunctionMode):
                 if not self._is_nothing(module, arguments[0], found[0]):
                     takes = self._takes(name, arguments[0], arriving)
                     node = self._call(name, module, takes, arriving)
-                    self._check_axes(name, arguments[0], takes, found[0])
+                    self._check_axes(name, arguments[0], takes)
                     membrane = _Value(membrane_of=node)
                     self._know_all(result, [membrane] * len(found))
                     # the output last, which states may hold again
@@ -483,7 +483,7 @@ class _Tracer(TorchFunctionMode):
             )
         return takes
 
-    def _check_axes(self, name: str, tensor: Tensor, takes: Shape, result: Tensor) -> None:
+    def _check_axes(self, name: str, tensor: Tensor, takes: Shape) -> None:
         """Refuse neurons for which an axis of timesteps is one of the batch, or the reverse."""
         node = self.nodes.get(name)
         if not isinstance(node, TorchNeurons):

@@ -20,9 +20,10 @@ _OPERATIONS = "eval_operations"  # pruning lowers the return, too
 class Metrics:
     """A CSV file to which rows are appended; columns that a row lacks stay empty.
 
-    path: of the file
+    path: path of the file
     columns: names, of which the first is the step
-    key: of a checkpoint's state; there stands the step of the last row, None before there is one
+    key: key of a checkpoint's state; there stands the step of the last row, None before there is
+        one
     """
 
     def __init__(self, path: Path, columns: tuple[str, ...], key: str = "logged") -> None:

@@ -40,9 +40,9 @@ _MOST_NODES, _MOST_CONCATS, _LARGEST_MATRIX = 512, 16, 1 << 24
 class OnnxOperators:
     """Operators and sizes of an ONNX file.
 
-    names: of the operators, each as often as it is there.
+    names: names of the operators, each as often as it is there.
     nested: whether an operator holds a graph, as loops and branches do, or the file functions.
-    shapes: of the constants.
+    shapes: shapes of the constants.
     """
 
     names: tuple[str, ...]

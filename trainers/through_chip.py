@@ -71,7 +71,7 @@ def on_chip(
     """Return a network as a module whose forward pass is a chip; its parameters are the network's.
 
     network: a torch module with neurons of a library (from_torch), or an artifact
-    chip_name: as the command line takes it, such as "loihi1" or "int:weight_bits=2"
+    chip_name: name as on the command line, such as "loihi1" or "int:weight_bits=2"
     input_shape: of a timestep of one sample, of a torch module
     dt: [s] of a timestep, of a torch module
     limits: refuse what breaks a design rule of the chip; weights fit its axons (trainers.fitting).
@@ -136,8 +136,8 @@ class ChipModule(nn.Module):
 
     network: its parameters are these, and where axons have types, their weights
     target: the datasheet of the chip
-    convention: of the network, and of the files that `save` writes
-    codec: of the files that `save` writes, where the network drives a robot
+    convention: convention of the network, and of the files that `save` writes
+    codec: codec of the files that `save` writes, where the network drives a robot
     limits: refuse what breaks a design rule of the chip
     surrogate_name, surrogate_width: of the derivative of a spike, as in trainers.neurons; by
         default that of each neuron, else atan

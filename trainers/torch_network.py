@@ -322,7 +322,8 @@ class Neurons(nn.Module):
     """Neurons of a shape, whose numbers are parameters of theirs or of a module of the user.
 
     takes, puts: (*shape) of the layer
-    derivative: of a spike, a function of the membrane minus the threshold; None if it has none
+    derivative: derivative of a spike, a function of the membrane minus the threshold; None if it
+        has none
     """
 
     derivative: Surrogate | None = None

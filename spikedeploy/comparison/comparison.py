@@ -271,7 +271,7 @@ class Comparison:
 def static(chip: str | None, env: str, period: float | None = None) -> dict[str, float]:
     """Measurement -> energy [J] of the chip's static power in a control step; never added.
 
-    period: of a control step [s] where it is known, else as the environment's class says
+    period: time of a control step [s] where it is known, else as the environment's class says
     """
     called = chip_or_float(chip) if chip else None
     powers = STATIC.get(called.name, ()) if called else ()

@@ -96,7 +96,7 @@ class EpisodeJob:
 
     env: short name or id
     entry: policy, chip and setup
-    seed: of the episode
+    seed: seed of the episode
     others: name -> file with the rollout of a reference on the same seed
     record: file for its own rollout, None for none
     """
@@ -119,7 +119,7 @@ class Episode:
     metrics: as episode_metrics.measure returns them
     costs: per inference
     agreement: name -> agreement with each of the job's `others`
-    remarks: of the compiler, on where a chip departs from the file
+    remarks: remarks of the compiler, on where a chip departs from the file
     damage: what faults of the chip hit
     measured: text of a metric that was asked for -> its value
     """

@@ -60,7 +60,7 @@ def compare_policies(
     """Play every entry on every seed, in parallel, references before those that refer to them.
 
     env: short name or id of the environment
-    entries: of lineup.line_up; the reference of an entry is an entry too, all share a setup
+    entries: rows of lineup.line_up; the reference of an entry is an entry too, all share a setup
     seeds: (n,) from EVALUATION up, which no training uses
     processes: one for each core by default
     """

@@ -21,7 +21,7 @@ class Entry:
     candidate: the policy
     chip: a chip, "float" for the float twin of a spiking policy, None for what does not spike
     reference: the entry it is measured against: the float ANN; on a chip its float twin
-    setup: of the evaluation, which all entries of a comparison share
+    setup: setup of the evaluation, which all entries of a comparison share
     """
 
     candidate: Candidate
@@ -72,7 +72,7 @@ def line_up(
     files: policies to compare; none stands for the shipped ones of the environment
     chips: for those that spike; None stands for that which each was trained for, or the default
     teacher: a row beside the files; one that is a network is the float ANN
-    setup: of all entries
+    setup: setup of all entries
     """
     spec = envs.spec(env)
     short = spec.short

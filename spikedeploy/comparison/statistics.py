@@ -54,7 +54,7 @@ class Estimate:
 class ReturnEstimates:
     """Returns of episodes: mean, median and worst, each with its interval.
 
-    mean: of all returns
+    mean: mean of all returns
     iqm: interquartile mean
     risk: mean of the worst 5 %
     """

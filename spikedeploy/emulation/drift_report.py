@@ -111,10 +111,10 @@ def observed_inputs(
     """Encoded observations of episodes that the float twin of a policy plays.
 
     env: short name or id; None takes the one that the policy was made for
-    seeds: of the episodes that it plays
+    seeds: seeds of the episodes that it plays
     steps: control steps that are used: the first ones of each episode where states are kept from
         one to the next, else spread evenly over the episodes
-    options: of the environment
+    options: options of the environment
     """
     where = env or candidate.env
     if artifact.codec is None or where is None:
@@ -149,7 +149,7 @@ class DriftReport:
     """A drift, and what it was measured on.
 
     policy: as the user named it
-    convention: of the file
+    convention: convention of the file
     inputs: where they come from
     calibrated: inputs of the calibration, in words; empty without one
     drift: the measurement

@@ -52,7 +52,7 @@ _SORT = "Sort the events by time and write them anew"
 class Recording:
     """A file of events, which is read as often as wanted.
 
-    path: of the file.
+    path: path of the file.
     size: (height, width) of the camera [pixels]; None where nothing says it.
     parts: reads x, y, t [us] and p of some events after another, unchecked.
     remarks: on how the file is read, where that is not plain; sentences. Reading it adds to them.

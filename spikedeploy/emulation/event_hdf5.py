@@ -40,10 +40,10 @@ Parts = Callable[[], Iterator[Columns]]
 class _Layout:
     """The place where a tool puts events.
 
-    name: of the tool.
-    place: of a group of columns, of a dataset with fields, or of a table (N, 4).
+    name: name of the tool.
+    place: place of a group of columns, of a dataset with fields, or of a table (N, 4).
     shown: place and columns in words.
-    order: of the columns of a table; empty for a group or for fields.
+    order: order of the columns of a table; empty for a group or for fields.
     seconds: whether times are in seconds where they are no whole numbers.
     """
 

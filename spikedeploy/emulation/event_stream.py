@@ -75,7 +75,7 @@ class EventRun:
     outputs: Output -> sum (*act) of its values; a single one is called "output".
     ledger: counts; None where `uncounted` says why.
     uncounted: why events could not be counted.
-    remarks: of the compiler, and on what was lost.
+    remarks: remarks of the compiler, and on what was lost.
     clock: how the layers advanced, in words.
     tables: energy tables to price by; empty for those of the chip.
     """

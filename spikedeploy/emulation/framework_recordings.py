@@ -28,7 +28,7 @@ def compare_with_recording(path: Path, recorded: Path, **options: Any) -> Verifi
     """The float twin of a file against a recording of the network that it was exported from.
 
     recorded: .npz with `input` (T, *shape) or (B, T, *shape), and `output` likewise
-    options: of artifact.load
+    options: options of artifact.load
     """
     given = {name: value for name, value in options.items() if value is not None}
     try:

@@ -52,7 +52,7 @@ LONGEST = 60.0  # [s] of a search
 class RecordedDifference:
     """The first output that is not the recorded one.
 
-    count: of outputs that differ.
+    count: number of outputs that differ.
     """
 
     inference: int

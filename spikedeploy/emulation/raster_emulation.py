@@ -127,9 +127,9 @@ class Emulation:
     chip: it ran on, or "float"
     spikes: node -> (T, *N) spikes, or how many where a neuron may send several in a timestep
     outputs: Output node -> (T, *act); a single one is called "output"
-    ledger: of this inference; None where `uncounted` says why
+    ledger: ledger of this inference; None where `uncounted` says why
     uncounted: why the events could not be counted
-    remarks: of the compiler, on where the chip departs from the file; and SILENT
+    remarks: remarks of the compiler, on where the chip departs from the file; and SILENT
     measures: NeuroBench's numbers, memory and time; None likewise
     tables: energy tables to price by; empty for those of the chip
     clock: how the layers advanced, in words; empty in float

@@ -42,9 +42,9 @@ class StateComparison:
     """A comparison of hardware with the emulated chip; it grows while both run.
 
     numbers: currents, membranes and spikes compared.
-    differing: of these.
+    differing: number of these that differ.
     first: the first difference, as a sentence; "" while there is none.
-    clocks: of each timestep.
+    clocks: clocks of each timestep.
     """
 
     numbers: int = 0
@@ -85,9 +85,9 @@ class StateComparison:
 class RtlBackend:
     """One network on hardware, and on the emulated chip beside it.
 
-    program: of both.
+    program: program of both.
     schedule: windows of a single robot; states go on or are reset as it says.
-    hardware: that runs the program.
+    hardware: core that runs the program.
     comparison: to which every timestep is added.
     """
 

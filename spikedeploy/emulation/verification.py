@@ -37,7 +37,7 @@ _TURNED = "read as (neurons, timesteps)"
 class Verification:
     """A recording beside ours.
 
-    path: of the recording
+    path: path of the recording
     equal: whether every number is the recorded one
     lines: the result; then the first difference, what was not compared, how it was read
     record: all of it as plain data

@@ -39,7 +39,7 @@ class Driver:
 
     name: for people
     legend: keys and what they do
-    meter: of a spiking policy that drives
+    meter: meter of a spiking policy that drives
     """
 
     name = "you"
@@ -74,7 +74,7 @@ class KeyboardDriver(Driver):
     """A person at the keys: the key pressed last acts, or all that are held add up.
 
     actions: names of an environment's actions, in its order; "straight" is no action, or the first
-    effects: of a continuous action: name -> numbers (act,), which add up
+    effects: effects of a continuous action: name -> numbers (act,), which add up
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class KeyboardDriver(Driver):
 class NetworkMeter:
     """The last inferences of a spiking policy, and what they cost.
 
-    table: of the energy
+    table: energy table
     seconds: time of the last action [s]
     """
 
@@ -216,9 +216,9 @@ class Outcome:
 
     word: "finish", "crash", "stalled", "fall", "the end" or "time is up"
     good: whether it was a success
-    steps: of the episode
+    steps: steps of the episode
     total: return
-    seconds: of the lap, where one was finished
+    seconds: seconds of the lap, where one was finished
     """
 
     word: str
@@ -247,15 +247,15 @@ class Outcome:
 class Session:
     """One driver in one environment, episode after episode, with others beside.
 
-    seed: of the first episode; each further one has the next
+    seed: seed of the first episode; each further one has the next
     beside: recorded drives, or policies that play each episode from its seed
     record: file for the rollouts; the second goes to <name>-2, and so on
     period: time of a control step [s]
     episode: the recorder of the current episode
     others: poses (S, 3) of those beside, one row for each control step
     sums: reward term -> sum over the episode
-    outcomes: of the episodes that ended
-    files: of recorded rollouts
+    outcomes: outcomes of the episodes that ended
+    files: files of recorded rollouts
     """
 
     def __init__(
@@ -341,9 +341,9 @@ def open_session(
     """Return the session of `spikedeploy play`.
 
     env: short name or id
-    options: of the environment
+    options: options of the environment
     policy: None for a person where keys can drive, else for a shipped policy
-    chip: of a spiking policy; None is that of its training, or loihi1
+    chip: chip of a spiking policy; None is that of its training, or loihi1
     beside: files that `--record` kept, and policies
     """
     if record is not None and suffix(record) != ".npz":

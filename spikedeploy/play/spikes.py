@@ -68,7 +68,7 @@ def draw_inferences(
 ) -> None:
     """Draw the last inferences of a policy; nothing without one.
 
-    name: of the policy and its chip
+    name: name of the policy and its chip
     actions: their names, where the environment has some
     """
     pygame.draw.rect(surface, PANEL, place)

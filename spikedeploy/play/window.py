@@ -93,8 +93,8 @@ def _fit(screen: pygame.Surface, frame: pygame.Surface) -> None:
 class DriveApp:
     """A session and its panel.
 
-    name: of the environment
-    title: of the window
+    name: name of the environment
+    title: title of the window
     fps: wanted frames per second
     """
 

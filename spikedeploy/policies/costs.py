@@ -56,10 +56,10 @@ class CostColumn(NamedTuple):
     """The report of a field of `Costs`.
 
     meaning: what it is
-    key: of a row of a report
-    title: of its column; "" for none
-    form: of a cell
-    table: of the report that has the column
+    key: key of a row of a report
+    title: title of its column; "" for none
+    form: format of a cell
+    table: table of the report that has the column
     """
 
     meaning: str
@@ -88,9 +88,10 @@ class Costs:
         everything
     energy_terms_j: by each table, then by term (runtime.metrics.energy): those of the chip add up
         to energy_j; a float network has `operations` alone
-    energy_unknown: by each table, terms that happen and that nothing prices
-    energy_zero_skipping_j: of a float network that skips inputs of 0: effective_macs alone
-    messages_placed_j: of messages on the cores that `check` gives to each layer
+    energy_unknown: by each table, terms that happen and have no price
+    energy_zero_skipping_j: energy of a float network that skips inputs of 0:
+        effective_macs alone
+    messages_placed_j: energy of messages on the cores that `check` gives to each layer
     """
 
     sparsity: float | None = _cost(

@@ -31,7 +31,7 @@ def permit(path: Path) -> None:
 class NativeController(Player):
     """A controller that calls C.
 
-    path: of the shared object.
+    path: path of the shared object.
     observed, actions, choices: numbers of an observation, numbers of an action, and actions to
         choose from, 0 where an action is numbers.
     """

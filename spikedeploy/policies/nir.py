@@ -80,9 +80,9 @@ class NirController(Copyable, Player):
 
     artifact: the file
     chip: datasheet; None for the float twin
-    codec: of the file
+    codec: codec of the file
     program: whose operations are counted; for the float twin the one of chip `ideal`
-    remarks: of the compiler, on where the chip departs from the file
+    remarks: remarks of the compiler, on where the chip departs from the file
     controller: what acts; with `trace` its network keeps spikes and membranes of the last step
     """
 

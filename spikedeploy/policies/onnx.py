@@ -28,8 +28,8 @@ _STEP = "snn-step"  # what exporters.spiking_onnx writes
 class OnnxController(Player):
     """A float network: observation (obs,) in, action (act,) out, or () where it chooses one.
 
-    path: of the file
-    metadata: of the exporter: env, recipe, seed, kind, head, name, macs ...
+    path: path of the file
+    metadata: metadata of the exporter: env, recipe, seed, kind, head, name, macs ...
     observed: size of the observation
     actions: size of the action, or number of actions to choose from
     chooses: whether the output is logits, of which the largest is taken

@@ -54,7 +54,7 @@ FLOAT = "float"  # in place of a chip: the float twin of a spiking policy
 class Candidate:
     """A policy that can be run, before it is loaded.
 
-    path: of the file or run folder, or the name of a built-in
+    path: path of the file or run folder, or the name of a built-in
     name: short, for tables
     kind: "ann", "snn", "control", or one of BASELINES
     format: key of FORMATS
@@ -62,7 +62,7 @@ class Candidate:
     observed: numbers it observes; None fits any
     actions: numbers it puts out, or actions that it chooses from; None fits any
     chip: whose integers it was trained in; None where it was trained for none
-    units: of a teacher's actions, "own" or "scaled"; None for those that its kind has
+    units: units of a teacher's actions, "own" or "scaled"; None for those that its kind has
     """
 
     path: str
@@ -100,8 +100,8 @@ class Player(NotCopyable):
 
     Subclasses define `act` or `replay`, of which each is made of the other.
 
-    remarks: of the compiler, on where a chip departs from the file
-    damage: by faults of the chip
+    remarks: remarks of the compiler, on where a chip departs from the file
+    damage: damage by faults of the chip
     """
 
     instead = "Open the policy again."

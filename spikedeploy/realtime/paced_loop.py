@@ -138,7 +138,7 @@ TIMES = ("late", "policy", "policy_cpu", "step")
 class RealTime:
     """Measurements of a paced loop.
 
-    pacing: that it had
+    pacing: rate, deadline and duration of the loop
     seconds: it took, pauses between episodes left out
     times: name of TIMES -> [s] of each control step
     skipped: periods that passed while a step was not done

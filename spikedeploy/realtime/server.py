@@ -41,8 +41,8 @@ class Request(BaseModel):
     """A request of a client.
 
     do: what is asked for
-    seed: of the episode that `reset` begins
-    observation: of `act`, as JSON has it
+    seed: seed of the episode that `reset` begins
+    observation: observation of `act`, as JSON has it
     want: of `act`: costs of the step that the reply has
     """
 
@@ -67,8 +67,8 @@ class Request(BaseModel):
 class ServedPolicy:
     """A policy on a chip, read once.
 
-    name: of the policy
-    chip: as the command line takes it, or "float"
+    name: name of the policy
+    chip: name as on the command line, or "float"
     observed: numbers of an observation
     """
 
@@ -158,7 +158,7 @@ class ServedEpisode:
 class Clients:
     """Clients of a server, each with its episode; idle ones are forgotten.
 
-    policy: that they act with
+    policy: policy that answers them
     most: clients at a time
     idle: [s] without a request after which a client is forgotten
     """

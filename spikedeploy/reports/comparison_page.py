@@ -119,8 +119,8 @@ def recordings(
 ) -> list[dict[str, Any]]:
     """Episodes for the page, played once more: of the row that it is about and its references.
 
-    rows: of the document
-    options: of the environment
+    rows: rows of the document
+    options: options of the environment
     """
     main = main_row(rows)
     table = quoted_table([main]) or COMMON_TABLE
@@ -137,7 +137,7 @@ def write(
 ) -> list[Path]:
     """Write page, numbers, Markdown and plots into the folder; return the files in that order.
 
-    episodes: of `recordings`, which the page alone has
+    episodes: episodes of `recordings`, which the page alone has
     """
     rows = document["rows"]
     pictures = [save(returns_figure(rows), folder / "returns.png")]

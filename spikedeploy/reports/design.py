@@ -258,9 +258,9 @@ def _check(check: DesignCheck) -> dict[str, Any]:
 class CoreFill:
     """Contents of a core.
 
-    number: of the core
-    layer: whose neurons it has
-    neurons: of that layer in this core
+    number: number of the core
+    layer: layer whose neurons it has
+    neurons: neurons of that layer in this core
     shares: name -> part of them that is taken, of those that have a limit
     """
 

@@ -134,8 +134,8 @@ def energy_figure(rows: Sequence[Row]) -> "Figure":
 class Curve:
     """The returns of one run over its training.
 
-    name: of the run
-    unit: of its steps: "environment steps" or "updates"
+    name: name of the run
+    unit: unit of its steps: "environment steps" or "updates"
     signal: "validation" or "training"
     steps: (n,) [unit]
     returns: (n,)

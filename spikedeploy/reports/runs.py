@@ -33,17 +33,17 @@ _SHARE = 0.02  # of the time that pages may take
 class RunScores:
     """Scores of a run, known without playing it.
 
-    path: of its folder
+    path: path of its folder
     recipe: its name
     env: id of its environment
-    seed: of the training
-    kind: of its policy, such as "popsan"
+    seed: seed of the training
+    kind: kind of its policy, such as "popsan"
     earned: mean return of the best validation
     success: part of the validation's episodes that finish, where the environment says so
-    operations: of a control step in the validation, where training counts them
+    operations: operations of a control step in the validation, where training counts them
     rate: spikes for each neuron and timestep, mean of the layers, of a network that has them
-    steps: of the training so far, and their unit
-    share: of the training that is done, from 0 to 1
+    steps: steps of the training so far, and their unit
+    share: share of the training that is done, from 0 to 1
     running: whether a process trains in it
     changed: [s] since 1970, when it was last written
     """
@@ -152,7 +152,7 @@ def find_runs(
 ) -> tuple[list[RunScores], list[str]]:
     """The runs in a folder and below, and why others cannot be read.
 
-    env: of the runs; None for all
+    env: environment of the runs; None for all
     sort: key of SORTS; returns are sorted within each environment, as they compare nowhere else
     """
     found, damaged = [], []

@@ -56,7 +56,7 @@ class Table:
     """Rows of cells.
 
     columns: (n,) their heads
-    rows: of n cells each
+    rows: rows of n cells each
     title: for the terminal
     numbers: whether the terminal shows every column after the first at the right
     meanings: head -> definition, which pages show under the pointer

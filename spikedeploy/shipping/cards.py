@@ -190,14 +190,14 @@ class _Report(_Fields):
 class RecordedEvaluation:
     """An evaluation that can be made again.
 
-    name: as it was asked for
+    name: name as it was asked for
     env: short name or id of the environment
     seeds: (n,)
     rows: as recorded
     entries: policy and chip of each row
     versions: package -> version that it was made with, None for one that was not installed
     not_recorded: what it lacks, in words
-    card: of the policy; None of a report
+    card: card of the policy; None for a report
     """
 
     name: str

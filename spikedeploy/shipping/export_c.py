@@ -49,11 +49,11 @@ def export_c(
 ) -> ExportResult:
     """Write a policy as C: a spiking one of a chip, a float one with 8-bit weights.
 
-    path: of the folder.
+    path: path of the folder.
     chip: None is that of its training, or the default; refused of a float policy.
     quantise: whether neurons have scales of their own.
-    observations: of an episode, from which the self-test and the typical operations come, or on
-        which actions are compared.
+    observations: observations of an episode, from which the self-test and the typical operations
+        come, or on which actions are compared.
     env: in which the episode is played; None is what the policy names, of ours.
     prefix: what names in C begin with.
     force: whether files that no earlier export wrote are replaced.

@@ -45,8 +45,9 @@ def export_nir(
 ) -> ExportResult:
     """Write a run's policy as NIR; or a file anew, as a tool's import or an earlier nir takes it.
 
-    observations: of episodes, or random timesteps of a file, on which both are compared.
-    tool: of runtime.dialects.tools.IMPORTERS; None leaves the scaling as it is.
+    observations: observations of episodes, or random timesteps of a file, on which both are
+        compared.
+    tool: key of runtime.dialects.tools.IMPORTERS; None leaves the scaling unchanged.
     nir_compat: release of `nir` that must be able to open the file.
     written_by, dt, reset, state: as of artifact.load, for a file.
 
@@ -90,7 +91,7 @@ def export_onnx(
     """Write a run's policy as ONNX, or one control step of a `.nir` file.
 
     observations: most of an episode, on which file and policy, or float twin, are compared.
-    env: of the episode of a file; None is what it names, of ours.
+    env: environment of the episode of a file; None is what it names, of ours.
     """
     if not is_nir_file(policy):
         from spikedeploy.shipping.export_run import export_run

@@ -71,7 +71,7 @@ def export_program(
 ) -> ExportResult:
     """Write the kit of a policy, or of a network without a codec, for a chip.
 
-    path: of the folder.
+    path: path of the folder.
     chip: None is that of its training, or the default.
     quantise: whether neurons have scales of their own.
     clock: as of compile_program; None is the network's own, or free.

@@ -44,10 +44,10 @@ def export_run(
 
     run: run folder, its name under runs/, or "last".
     to: "nir" or "onnx".
-    path: of the file; by default policy.<to> in the run folder, or policy-<checkpoint>.<to>.
+    path: path of the file; by default policy.<to> in the run folder, or policy-<checkpoint>.<to>.
     observations: number of recorded observations on which file and policy are compared.
     control: whether comparisons show a float network as a control.
-    state: of a spiking policy between inferences; None as trained.
+    state: state of a spiking policy between inferences; None as trained.
     checkpoint: of the run, such as "ops-480"; by default its best, else its last.
     force: whether a file that no export of this training wrote is replaced.
 

@@ -42,7 +42,7 @@ _COUNTED = 50
 class CoreDesign:
     """A policy on a core, on a board; nothing is written yet.
 
-    chip: whose integers the core computes.
+    chip: chip whose integers the core computes.
     """
 
     codec: Codec
@@ -119,11 +119,12 @@ def export_verilog(
 ) -> ExportResult:
     """Write a spiking policy as Verilog: a core, a top module, memories, a Makefile, a host.
 
-    path: of the folder.
+    path: path of the folder.
     chip: whose integers the core computes; None is that of its training, or the default.
-    board: that the top module is for.
+    board: board that the top module is for.
     quantise: whether neurons have scales of their own.
-    observations: of an episode, of which the test benches have the first control steps.
+    observations: observations of an episode, of which the test benches have the first control
+        steps.
     env: in which the episode is played; None is what the policy names, of ours.
     force: whether files are replaced that no export wrote, or that were changed since.
 

@@ -19,9 +19,9 @@ from spikedeploy.shipping.verilog_folder import folder_of, open_hardware
 class CoreDriver:
     """Hardware that is ready to drive.
 
-    folder: that it was built in.
-    name: of its row.
-    chip: whose integers it computes.
+    folder: folder in which it was built.
+    name: name of its row.
+    chip: chip whose integers it computes.
     backend: makes the backend of a machine.
     states: to which every timestep is added.
     """
@@ -61,9 +61,9 @@ def driver(folder: Path, policy: str) -> Iterator[CoreDriver]:
 class HardwareRun:
     """Episodes that hardware has driven, and the same that the emulated chip has.
 
-    folder: of the hardware.
+    folder: folder of the hardware.
     states: every number of both, compared while the hardware drove, as data.
-    returns: of each episode of the hardware; emulated: of the same seeds on the emulated chip.
+    returns: return of each episode on the hardware; emulated: on the emulated chip.
     """
 
     folder: Path

@@ -45,12 +45,12 @@ def publish_run(
     """Put a run's policy into the zoo, with card and learning curve; return the files.
 
     run: run folder, its name under runs/, or "last"
-    name: of the policy in the zoo, such as "popsan"
-    episodes: of its evaluation, on each chip of the card
-    folder: of the zoo
+    name: name of the policy in the zoo, such as "popsan"
+    episodes: episodes of its evaluation, on each chip of the card
+    folder: folder of the zoo
     note: for the card
     control: whether comparisons show it as a control, such as a small network
-    checkpoint: of the run, such as "ops-480"; by default its best, else its last
+    checkpoint: checkpoint of the run, such as "ops-480"; by default its best, else its last
     force: whether files of this name that are no published policy are replaced
     """
     if not _NAME.fullmatch(name):

@@ -36,9 +36,9 @@ class NumberThatDiffers:
     """A number that was found otherwise than recorded.
 
     row: policy and chip: `sparse · loihi1`
-    field: of the row: `returns`, `energy_per_inference_j.davies2018`
-    seed: of the episode, None for what is of all episodes
-    expected: as recorded
+    field: field of the row: `returns`, `energy_per_inference_j.davies2018`
+    seed: seed of the episode, None for what is of all episodes
+    expected: recorded value
     found: now; "nothing" where the row has no such field any more
     """
 
@@ -59,17 +59,17 @@ class NumberThatDiffers:
 class Reproduction:
     """The result of making an evaluation again.
 
-    name: of the evaluation
-    episodes: that were played of each row; `of` were recorded
+    name: name of the evaluation
+    episodes: number played of each row; `of` were recorded
     rows: policies on chips
-    numbers: that were compared
+    numbers: count of the numbers that were compared
     verdict: EQUAL, CLOSE or DIFFERS
     difference: the first number of those that decide the verdict; None where all are equal
     differing: how many numbers are not equal
     not_compared: fields that are means over all recorded episodes, when fewer were played
     not_recorded: what the record lacks, in words
     versions: package -> [version then, version now]
-    seconds: that it took
+    seconds: duration [s]
     """
 
     name: str

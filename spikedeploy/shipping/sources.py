@@ -98,7 +98,7 @@ def observations_of(
     where: name of the environment; "" for none.
     size: numbers of an observation.
     walk: what stands for an episode that cannot be played: a random walk (count, obs).
-    named: by the user, with --env, in place of `where`; ConfigError where it does not fit.
+    named: environment of --env, in place of `where`; ConfigError where it does not fit.
     """
     where = named or where
     env = make_env(where, {}) if where else None
@@ -138,10 +138,10 @@ class _Player:
 class SpikingSource:
     """A spiking policy to be exported.
 
-    name: as it was given.
-    file: that it is in.
+    name: name as it was given.
+    file: file of the policy.
     chip: on which it runs.
-    quantisation: of its numbers there.
+    quantisation: quantisation of its numbers there.
     """
 
     name: str

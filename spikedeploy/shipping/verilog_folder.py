@@ -45,7 +45,7 @@ class VerilogFolder(BaseModel, frozen=True):
     policy: what was exported, in words.
     sha256: of its file.
     chip: whose integers the core computes, with the clock in the name where it is not the chip's.
-    board: that the top module is for.
+    board: board that the top module is for.
     files: name -> sha256 of what was written.
     quantise: granularity of its scales; absent from folders of earlier versions.
     """

@@ -40,8 +40,8 @@ class DistillConfig(RunConfig):
 
     teacher: policy to imitate: a run folder, an .onnx, .nir or Stable-Baselines3 .zip file, or
         my_module:function (docs/own-teacher.md)
-    teacher_units: of the actions of functions and of other people's .onnx files: "own" units of
-        the environment, which is the default, or "scaled" to [-1, 1]
+    teacher_units: units of the actions of functions and of .onnx files of other programs: "own"
+        units of the environment, which is the default, or "scaled" to [-1, 1]
     iterations: number of times that states are collected, first with the teacher's own actions
     states: environment steps of each iteration, of all copies together
     updates: gradient updates in total, spread evenly over the iterations; `validation.every`,

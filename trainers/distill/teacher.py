@@ -29,7 +29,7 @@ class Teacher:
     act_all: actions (B, act) in [-1, 1] for observations (B, obs), or logits of discrete ones
     observations, actions: their numbers
     env: short name or id of its environment, empty if unknown
-    widths: of a multilayer perceptron, from observations to actions; empty if unknown
+    widths: widths of a multilayer perceptron, from observations to actions; empty if unknown
     restart: called when an episode begins, of a script with a memory
     asks: of a teacher that knows the simulation: actions (B, act) in B environments, as they are
         now; `act_all` is refused before it is `among` them
@@ -95,7 +95,7 @@ class OwnSpaces:
     Policies of ours see vectors and act in [-1, 1], or choose from 0; other people's teachers see
     the environment's own observations and give its own actions. This is the way between the two.
 
-    name: of the environment
+    name: name of the environment
     observation, action: Box or Discrete
     """
 

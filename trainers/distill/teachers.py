@@ -185,7 +185,8 @@ def teacher(
     path: a run folder, an .onnx, .nir or Stable-Baselines3 .zip file, module:function, the name of
         a shipped policy, such as "hexapod/sac", or "expert", that of the environment itself
     options: of the environment, whose own units teachers of other people act in
-    units: of their actions: "own", or "scaled" to [-1, 1]; None for what the kind of teacher has
+    units: units of their actions: "own", or "scaled" to [-1, 1]; None for what the kind of teacher
+        has
     """
     if not path:
         raise ConfigError(

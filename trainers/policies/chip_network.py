@@ -72,7 +72,7 @@ class NetworkPolicy(CodedPolicy):
 
     network: its numbers are parameters of the policy
     chip: name of a datasheet, with options as on the command line
-    reset: of the neurons: "subtract" or "zero", or the one that the chip has
+    reset: reset of the neurons: "subtract" or "zero", or the one that the chip has
     at_threshold: whether neurons spike at the threshold already, where the chip leaves a choice
     readout: nn.Linear from the network's output, spikes or membranes, to `Latent.mean`
     score: what of the output over the timesteps is read: its "mean", or its "last" value

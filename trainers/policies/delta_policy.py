@@ -104,7 +104,7 @@ class DeltaSnnPolicy(Policy):
     """Signed events into a small layer of LIF neurons and, past it, into the readout.
 
     settings: layers, code and clock, as in DeltaSnnConfig; `hidden` and `deep` are of each copy
-    copies: of a network that serves several parts of a body; None for one network
+    copies: copies of a network that serves several parts of a body; None for one network
     two_valued: observations with two values that are a step apart: their channels of several events
         are never used; of a one-hot code they weigh as much as that of one, so that they do not
         make a chip's weights coarser, of a unary code nothing

@@ -55,7 +55,7 @@ class PrunedMlpPolicy(Policy):
 
     hidden: widths of the hidden layers, of all copies together; none make it a linear policy
     skip: whether the observation also reaches the output directly
-    copies: of a network that serves several parts of a body; None for one network
+    copies: copies of a network that serves several parts of a body; None for one network
     layers, biases: weights of each hidden layer, then of the output; and their biases
     past: weights of the skip connection
     """

@@ -111,8 +111,8 @@ class MultiplyingController(FloatController):
 def _mean_in_episodes(rows: NDArray[Any], robots: Sequence[int], lengths: Sequence[int]) -> float:
     """Return the mean of rows (R,) while episodes last.
 
-    rows: of each batch of episodes the robots of each control step, one step behind another
-    robots: of each batch
+    rows: for each batch of episodes the robots of each control step, step after step
+    robots: number of robots of each batch
     """
     within, at = [], 0
     for count in robots:

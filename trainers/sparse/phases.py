@@ -1,9 +1,9 @@
 """Phases of a sparse training: planned for a budget, or found one after another.
 
-A search trains in dense rounds until validation stops to improve, then prunes to a fixed share of
-the operations before, level by level, until two levels in a row keep less than what was asked for
-of the teacher's return: one may by chance. Shares are of what the teacher earns more than random
-actions do, since returns may be negative.
+A search trains in dense rounds until validation stops to improve. Then it prunes to a fixed share of
+the operations before, level by level, until two levels in a row keep less than the share of the
+teacher's return that was asked for; one level may do so by chance. Shares are of what the teacher
+earns more than random actions do, since returns may be negative.
 """
 
 import math
@@ -68,7 +68,7 @@ class Ended:
     """The result of a phase of a search.
 
     goal: operations allowed at its end; None while dense
-    operations: of a control step, at its end
+    operations: operations of a control step, at its end
     share: the best of its validations, of the teacher's return over that of random actions
     """
 

@@ -343,7 +343,7 @@ class Trials(Windows):
 class Tiles:
     """Windows that cover every control step of W walks once behind their burn-in.
 
-    windows: of all walks, one walk after another
+    windows: windows of all walks, one walk after another
     at, row: (n, L) and (n, 1) control step and walk of each step behind the burn-in
     counts: (n, L) whether the step is part of the walk
     """
@@ -384,7 +384,7 @@ def walk_advantages(
     """Return advantages (S, W) of W walks, zeros behind their ends, and which steps are of a walk.
 
     values: (S_k + 1,) of each walk, that of its end included
-    scale: of the rewards, by which they are divided
+    scale: divisor of the rewards
     """
     reward = pad_sequence([torch.from_numpy(each.reward) for each in earned])
     lengths = torch.tensor([len(each.reward) for each in earned])

@@ -134,7 +134,7 @@ class DeltaStudent(Student):
     hidden_rate: (H,) mean spikes of the hidden neurons in a control step; of neurons without
         memory T times those of the timestep that actions read
     offsets: what rounding by the chip adds to each field of DeltaWeights; none before `round`
-    quanta: of which weights are rounded to multiples in each forward pass, by matrix
+    quanta: by matrix, the quantum to whose multiples weights are rounded in each forward pass
     each_pass: whether they are; otherwise offsets hold from one `round` to the next, so that what
         is computed changes smoothly with the weights
     """

@@ -239,7 +239,7 @@ class WalkPool:
         normalised: (S, obs) observations of each walk
         decay: factor by which currents keep, in a control step, what events brought
         delay: timesteps from an event to its arrival
-        timesteps: of a control step
+        timesteps: timesteps of a control step
         moves: whether windows hold `moved`, and not only what is `seen`
         """
         rows = [np.asarray(each) for each in normalised]

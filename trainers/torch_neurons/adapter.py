@@ -35,7 +35,7 @@ class Meaning:
 class TorchNeurons(Neurons):
     """Neurons whose numbers are those of a module of the user.
 
-    module: of another library
+    module: module of another library
     meaning: what it does
     has_spikes: False where the module puts out its membranes
     takes_time: True where its input has all timesteps, beside the batch
