@@ -1,9 +1,9 @@
 """Phases of a sparse training: planned for a budget, or found one after another.
 
-A search trains in dense rounds until validation stops to improve. Then it prunes to a fixed share of
-the operations before, level by level, until two levels in a row keep less than the share of the
-teacher's return that was asked for; one level may do so by chance. Shares are of what the teacher
-earns more than random actions do, since returns may be negative.
+A search trains in dense rounds until validation stops to improve. Then it prunes to a fixed share
+of the operations before, level by level, until two levels in a row keep less than the share of the
+return of the teacher that was asked for; one level may do so by chance. Shares are of what the
+teacher earns more than random actions do, since returns may be negative.
 """
 
 import math
