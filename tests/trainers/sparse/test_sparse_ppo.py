@@ -260,7 +260,7 @@ def test_reward_teaches_what_the_teacher_does_not_know(world, taught, tmp_path, 
     monkeypatch.setattr(envs, "make", lambda name, **options: world())
     actions = 2 if world is PointingEnv else 4
     toy = Teacher(taught, 2, actions)
-    for module in ("sparse.sparse", "sparse.ppo"):
+    for module in ("sparse.sparse", "sparse.sparse_ppo"):
         monkeypatch.setattr(f"spikedeploy.trainers.{module}.teacher", lambda *_: toy)
     # the goal of a step is drawn anew in the next: a policy that is late cannot know it
     run = train("smoke-sparse", overrides=[*TOY, *GATED], runs=tmp_path, quiet=True)
