@@ -155,12 +155,14 @@ class Neurons:
             gain = (1 - self.a) * node["w_in"] * gain
         self.gain = np.where(np.abs(gain - 1) <= 1e-9, 1.0, gain)
         self.threshold, self.v_reset = node.get("v_threshold"), node.get("v_reset", 0.0)
+        # what arrives in the first timestep of a pipeline: biases
+        self.constant = np.zeros(self.gain.shape)
         self.reset()
 
     def reset(self):
         """Currents and membranes of 0."""
         self.current, self.membrane = np.zeros(self.gain.shape), np.zeros(self.gain.shape)
-        self.arriving = [np.zeros(self.gain.shape)] * self.delay
+        self.arriving = [self.constant] * self.delay
 
     def step(self, x):
         """Spikes or membranes (N,) of the next timestep."""
@@ -215,6 +217,11 @@ class Policy:
         graded = known.get("sigma_delta", {})
         for name, stated in graded.items():
             self.neurons[name] = SigmaDelta(self.nodes[name], self.convention, stated)
+        for name, layer in self.neurons.items():
+            for bias in (self.nodes[s].get("bias", 0.0) for s in self.sources[name]):
+                over_places = (1,) * (layer.gain.ndim - np.ndim(bias))  # of a kernel: by channel
+                layer.constant = layer.constant + np.reshape(bias, np.shape(bias) + over_places)
+            layer.reset()
         self.order = self.sorted()
         self.spiking = [
             n for n, layer in self.neurons.items() if layer.threshold is not None or n in graded

@@ -235,10 +235,10 @@ def test_cells_of_few_episodes_claim_no_interval_and_say_why(grid, serial, capsy
 def test_the_back_ends_of_the_command_are_those_that_exist():
     from typing import get_args
 
-    from spikedeploy.commands.training import BackendName
+    from spikedeploy.commands.training import JobBackend
     from spikedeploy.jobs import BACKENDS
 
-    assert get_args(BackendName) == BACKENDS
+    assert get_args(JobBackend) == BACKENDS
 
 
 @pytest.mark.parametrize("name", ["sweep.md", "journal.csv"])
