@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from spikedeploy import files, zoo
+from spikedeploy import zoo
 from spikedeploy.exporters.verilog import tools
+from spikedeploy.runtime import files
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.verilog_folder import (
     MARK,
