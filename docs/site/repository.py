@@ -19,9 +19,10 @@ BESIDE = (
     "results/**/*.csv",
     "results/*.json",
     "examples/notebooks/*.ipynb",
+    "examples/*/README.md",
 )
 # a link to a source file, which becomes a page that shows it
-SOURCE = re.compile(r"\]\(((?:\.\./)*(?:[\w-]+/)+\w+\.py)\)")
+SOURCE = re.compile(r"\]\(((?:\.\./)*(?:[\w-]+/)*\w[\w-]*\.(?:py|toml))\)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -56,5 +57,5 @@ def _sources(page: File) -> list[str]:
 
 
 def _shown(top: Path, name: str) -> str:
-    text = (top / name).read_text("utf-8")
-    return f"---\nsearch:\n  exclude: true\n---\n# {name}\n\n```python\n{text}```\n"
+    text, language = (top / name).read_text("utf-8"), name.rpartition(".")[2]
+    return f"---\nsearch:\n  exclude: true\n---\n# {name}\n\n```{language}\n{text}```\n"

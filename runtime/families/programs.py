@@ -9,8 +9,8 @@ Each layer has its registers under the names of the chip's own tools:
 
     Spiker      threshold, shift, v_reset; read from traces alone
 
-A weight counts weights[m][n] * 2**exponent. The axon of a bias is an input like any other. Readers
-of tools' own traces (tool_traces) read registers by the same names.
+A weight counts `weights[m][n] * 2**exponent`. The axon of a bias is an input like any other.
+Readers of tools' own traces (tool_traces) read registers by the same names.
 
 A recorded run is `expected.json`, or a file of that form from a tool or a board. It names
 the file of its program, which lies beside it, and the digest of that file. Its input is a list of

@@ -60,7 +60,7 @@ _SHIFT = 6
 
 
 def loihi_trace(fields: Fields, chip: str) -> TraceFile:
-    """The trace in the fields; weights are [post][pre]."""
+    """The trace in the fields; weights are `[post][pre]`."""
     specs, on = [spec.spelled(_LOIHI) for spec in fields.layers()], datasheet(chip)
     if not isinstance(on.arithmetic, CubaFixedPoint):
         raise fields.wrong("chip", f"{chip} has no integers", "Name a chip that has.")
@@ -218,7 +218,7 @@ def _stored_lists(
 
 
 def xylo_trace(fields: Fields, chip: str) -> TraceFile:
-    """The trace in the fields; weights are [pre][post][synapse]."""
+    """The trace in the fields; weights are `[pre][post][synapse]`."""
     both, used = fields.merged_with(fields.group("params")), datasheet(chip)
     if not isinstance(used.arithmetic, XyloArithmetic):
         raise fields.wrong("chip", f"{chip} does not count events", "Name a Xylo.")
@@ -301,7 +301,7 @@ _MOST_NEURONS = 1 << 12
 
 
 def spiker_trace(fields: Fields, chip: str) -> TraceFile:
-    """The trace in the fields; weights are [pre][post]."""
+    """The trace in the fields; weights are `[pre][post]`."""
     specs, on = [spec.spelled(_SPIKER) for spec in fields.layers()], datasheet(chip)
     if not isinstance(on.arithmetic, IntegrateAndFire):
         raise fields.wrong("chip", f"{chip} does not leak by shifts", "Name spiker.")
