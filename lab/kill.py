@@ -38,7 +38,7 @@ _MODULES = ("mujoco", "pymunk", "onnxruntime", "matplotlib.figure", "torch._dyna
 _FILE_EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.truncate")
 _LONGEST = 4  # interruptions of a chain
 _STOPS, _WRITES = 0.2, 0.5  # parts of the interruptions, and of the kills
-_TITLED = ("curve.png", "curve.svg", "card.md", "report.html")  # with the folder's name
+_TITLED = ("curve.png", "report.html")  # with the folder's name
 
 
 class Case(NamedTuple):

@@ -1,6 +1,6 @@
-"""Videos from frames, written atomically: H.264 in MP4 through PyAV, GIF; a frame as WebP."""
+"""Videos from frames, written atomically: H.264 in MP4 through PyAV; a frame as WebP."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -76,31 +76,6 @@ def _stream(file: "OutputContainer", frame: Frame, fps: float) -> "VideoStream":
     stream.height, stream.width = frame.shape[:2]
     stream.pix_fmt = "yuv420p"
     return stream
-
-
-def gif(path: Path, frames: Iterable[Frame], period: float, remark: str = "") -> int:
-    """Write frames (H, W, 3) uint8 as a GIF that repeats; its size [bytes].
-
-    period: between two frames [s], which a GIF has in whole hundredths
-    remark: in the file's metadata
-    """
-    from PIL import Image
-
-    method = Image.Quantize.MAXCOVERAGE  # keeps the colours of small objects
-    images = (
-        Image.fromarray(np.ascontiguousarray(frame)).quantize(method=method) for frame in frames
-    )
-    with replacing(path) as part:
-        next(images).save(
-            part,
-            format="GIF",
-            save_all=True,
-            append_images=images,
-            duration=10 * round(100 * period),
-            loop=0,
-            comment=remark,
-        )
-    return path.stat().st_size
 
 
 def shrink(frame: Frame, width: int) -> Frame:

@@ -119,14 +119,9 @@ class Journal:
         columns: tuple[str, ...],
         bar: ProgressBar,
         watch: Callable[[Path], None] | None = None,
-        film: Callable[[Path, int, int], None] | None = None,
     ) -> None:
-        """watch: is called with the run folder after each row.
-
-        film: likewise, with the step and the steps of the whole training too
-        """
-        self._path, self._watch, self._film = run.path, watch, film
-        self._progress = 0, 1
+        """watch: is called with the run folder after each row."""
+        self._path, self._watch = run.path, watch
         self.metrics = Metrics(run.metrics, columns)
         self.metrics.begin()
         self.board = _TensorBoardLog(run.path)
@@ -134,7 +129,6 @@ class Journal:
 
     def move_to(self, step: int, total: int) -> None:
         """Report progress."""
-        self._progress = step, total
         self.bar.move_to(step, total)
 
     def add(self, row: Mapping[str, float]) -> None:
@@ -150,8 +144,6 @@ class Journal:
         self.bar.show({**row, **shown})
         if self._watch is not None:
             self._watch(self._path)
-        if self._film is not None:
-            self._film(self._path, *self._progress)
 
     def rewind(self, step: int) -> None:
         """Drop the rows after a step, on resuming from it."""

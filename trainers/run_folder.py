@@ -5,8 +5,7 @@
     versions.json        of Python, packages and source tree
     metrics.csv          one row for each logging interval
     curve.png            learning curve
-    report.html, card.md, curve.svg   to look at, and to show: written anew at the end
-    films/<step>.gif     episodes, filmed while it was trained
+    report.html          to look at: written anew after each row of metrics
     replay.safetensors   replay buffer of an unfinished run
     checkpoints/{last,best}.safetensors, each with a .json of its numbers to read
 
@@ -39,11 +38,11 @@ if TYPE_CHECKING:  # reports look at runs where torch and pydantic are not insta
 
 LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
 _LISTED = 8
-_FOLDERS = ("checkpoints", "pool", "films")  # of training, in a run folder
+_FOLDERS = ("checkpoints", "pool")  # of training, in a run folder
 # what a kill leaves of a file of training: of `replacing`, with other endings than exports have,
 # and of safetensors, which writes to a file of its own at first
 _UNFINISHED = re.compile(
-    r"\.(.+\.(json|csv|safetensors|npz)|\d+\.gif|curve\.(png|svg)|report\.html|card\.md)"
+    r"\.(.+\.(json|csv|safetensors|npz)|curve\.png|report\.html)"
     r"\.(\w+-)?\d+\.part|\.tmp\w{6}"
 )
 

@@ -48,7 +48,6 @@ def train(
     quiet: bool = False,
     interrupt: Interrupt | None = None,
     watch: Callable[[Path], None] | None = None,
-    film: Callable[[Path, int, int], None] | None = None,
 ) -> Path:
     """Train a recipe, or resume a run of it ("last" or a folder), and return the run folder.
 
@@ -59,7 +58,6 @@ def train(
     budget: operations of a control step, of a sparse recipe: "sops=480", "macs=500"
     interrupt: requests a stop, and says afterwards whether there was one
     watch: is called with the run folder after each row of metrics
-    film: likewise and at the end, with the step and the steps of the whole training too
     """
     stopped = interrupt or Interrupt()
     torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
@@ -87,7 +85,7 @@ def train(
             with _written(run, config):
                 runner = kind(config, run)
                 _check_sizes(run.path, state, runner.policy)
-            _learn(runner, config, run, quiet, stopped, watch, film)
+            _learn(runner, config, run, quiet, stopped, watch)
             if config != former and runner.step == state.get(kind.COUNTERS[0]) and runner.finished:
                 write_json(run.path / "config.json", before)  # nothing was trained with the other
                 print(f"{run.path} was trained, and keeps its configuration", file=sys.stderr)
@@ -103,7 +101,7 @@ def train(
     config = _with_paths(config)
     run = RunFolder.create(runs, config)
     with run.locked(), _removed_if_refused(run):
-        _learn(kind(config, run), config, run, quiet, stopped, watch, film)
+        _learn(kind(config, run), config, run, quiet, stopped, watch)
     return run.path
 
 
@@ -214,15 +212,12 @@ def _learn(
     quiet: bool,
     stopped: Interrupt,
     watch: Callable[[Path], None] | None,
-    film: Callable[[Path, int, int], None] | None,
 ) -> None:
     """Run the algorithm under a progress bar until it ends or is stopped, then draw its curve."""
     with ProgressBar(run.path.name, quiet) as stopped.bar, stopped:
-        journal = Journal(run, runner.columns(config), stopped.bar, watch, film)
+        journal = Journal(run, runner.columns(config), stopped.bar, watch)
         try:
             runner.learn(journal, stopped)
-            if film is not None and runner.finished:  # the last row may be from before the end
-                film(run.path, runner.step, runner.step)
         finally:
             journal.close()
     stopped.share = None if runner.finished else runner.share

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -155,21 +154,12 @@ def picture(env: Any, size: tuple[int, int] = _SIZE) -> NDArray[np.uint8]:  # no
     return np.ascontiguousarray(turned, np.uint8)
 
 
-def draw_env(
-    env: Any,  # noqa: ANN401
-    size: tuple[int, int] = _SIZE,
-    beside: Iterable[Floats] = (),
-) -> pygame.Surface:
-    """Return a surface with the track, its gates, the LIDAR's rays and the kart.
-
-    beside: poses (3,) of other karts, which are drawn translucent
-    """
+def draw_env(env: Any, size: tuple[int, int] = _SIZE) -> pygame.Surface:  # noqa: ANN401
+    """Return a surface with the track, its gates, the LIDAR's rays and the kart."""
     place = scene(env.track, size)
     surface = place.ground.copy()
     _draw_gates(surface, place, env.next_gate)
     _draw_scan(surface, place, env.pose, _ray_angles(env), env.scan, env.lidar.range)
-    for x, y, heading in beside:
-        _draw_kart(surface, place, (x, y, heading), _NEXT, alpha=110)
     _draw_kart(surface, place, _facing(env), KART)
     return surface
 

@@ -81,7 +81,7 @@ def train_seeds(
     """Train with each of the seeds, `count` at a time; Ctrl-C stops them at checkpoints.
 
     logs       folder of a log for each
-    arguments  of trainers.train.train, JSON types; and films, of each training
+    arguments  of trainers.train.train, JSON types
     ended      is called with each that ends
     """
     found: dict[int, SeedTraining] = {}
@@ -105,14 +105,13 @@ def _job(seed: int, folder: Path, logs: Path, arguments: Mapping[str, Any]) -> J
     return Job(name, _PERFORM, logs / f"{arguments['recipe']}-s{seed}.log", given)
 
 
-def perform(place: str, films: int = 0, **arguments: Any) -> bool:  # noqa: ANN401
+def perform(place: str, **arguments: Any) -> bool:  # noqa: ANN401
     """Train (a job of `resumable`), and write into the file `place` where; False if interrupted."""
-    from spikedeploy.shipping.training_films import TrainingFilms
     from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.train import train
 
     interrupt = Interrupt()
-    run = train(quiet=True, interrupt=interrupt, film=TrainingFilms(films), **arguments)
+    run = train(quiet=True, interrupt=interrupt, **arguments)
     write_text(Path(place), str(run))
     return interrupt.share is None
 

@@ -1,4 +1,4 @@
-"""`export` and `publish`: from a run folder to a file, a card, or a shipped policy."""
+"""`export` and `publish`: from a run folder to a file, or a shipped policy with its card."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,6 @@ class FormatOptions:
     observations: recorded observations on which file and policy must agree (default: 1000)
     chip: chip whose integers are written; c, verilog, program and xylo (default: what it was
         trained for, else loihi1; xylo needs one)
-    film: with --to card: replay.mp4 of one greedy episode
 
     C, Verilog, programs:
         env: environment of the recorded episode, as of one of your own that FILE.nir names as
@@ -57,7 +56,6 @@ class FormatOptions:
     raster: Annotated[Path, typer.Option("--input", metavar="RASTER")] | None = None
     state: State | None = None
     checkpoint: Checkpoint | None = None
-    film: bool = False
     for_: Annotated[str, typer.Option(metavar="TOOL")] | None = None
     nir_compat: Annotated[str, typer.Option(metavar="RELEASE")] | None = None
     from_: Annotated[str, typer.Option(metavar="TOOL")] | None = None
@@ -67,7 +65,7 @@ class FormatOptions:
     def arguments(self) -> dict[str, Any]:
         """The options that were given, as `shipping.export` takes them."""
         names = {"for_": "tool", "from_": "written_by"}
-        given = {name: value for name, value in vars(self).items() if value not in (None, False)}
+        given = {name: value for name, value in vars(self).items() if value is not None}
         return {names.get(name, name): value for name, value in given.items()}
 
 
@@ -82,12 +80,10 @@ def export(
 ) -> None:
     """Write a trained policy as .nir or .onnx, and check the file against it; or as C99 or Verilog.
 
-    --to card makes the run folder ready for upload: the policy, card.md, curve.svg, report.html.
-
     run: run folder, its name under runs/, or 'last'; FILE.nir
     to: format: nir, c, verilog, program or xylo for spiking policies, onnx for float ones, or for
-        one step of a spiking one; c of small float ones, in 8-bit weights; or card (default: as -o
-        ends, else as the policy is)
+        one step of a spiking one; c of small float ones, in 8-bit weights (default: as -o ends,
+        else as the policy is)
 
     Output:
         output: file to write; for c, verilog and program the folder (default: in the run folder)

@@ -32,7 +32,7 @@ from spikedeploy.console import (
     program_name,
     say,
 )
-from spikedeploy.setup import Count, Natural
+from spikedeploy.setup import Count
 
 _RUNS = Path("runs")
 
@@ -53,7 +53,6 @@ def train(
     jobs: Count | None = None,
     resume: Resume | None = None,
     runs: RunsFolder = _RUNS,
-    films: Natural = 0,
     json: Json = False,
 ) -> None:
     """Train a policy. Ctrl-C stops at a checkpoint; --resume last goes on.
@@ -74,8 +73,6 @@ def train(
     several: train with several seeds side by side, each as a command of its own (default: one
         training)
     jobs: with --seeds: trainings side by side (default: all cores)
-    films: films of a greedy episode of the best checkpoint so far, evenly over the training, the
-        last at its end
     """
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
@@ -104,12 +101,10 @@ def train(
     if several is not None:
         if seed is not None or resume is not None:
             raise typer.BadParameter("--seeds goes without --seed and --resume")
-        _run_seeds(several, jobs, json, runs, recipe or what, films=films, **settings)
+        _run_seeds(several, jobs, json, runs, recipe or what, **settings)
     if jobs is not None:
         raise typer.BadParameter("--jobs goes with --seeds")
-    _run_training(
-        recipe or what, json, seed=seed, resume=resume, runs=runs, films=films, **settings
-    )
+    _run_training(recipe or what, json, seed=seed, resume=resume, runs=runs, **settings)
 
 
 def _run_training(
@@ -142,27 +137,23 @@ def _learn(
     seed: int | None = None,
     resume: str | Path | None = None,
     runs: Path = _RUNS,
-    films: int = 0,
     verb: str = "train",
     again: Path | None = None,
     **settings: Any,  # noqa: ANN401
 ) -> Path:
-    """Train, write page and card, and return the run; stopped by a signal, exit with its code.
+    """Train, write the page, and return the run; stopped by a signal, exit with its code.
 
-    films: of a whole training
     verb: the command that goes on, of the run `again`, by default the last one
     settings: more arguments of trainers.train.train
     """
     if resume is not None and seed is not None:
         raise typer.BadParameter("a resumed run keeps its seed: leave --seed out")
     from spikedeploy.reports.runs import LivePage
-    from spikedeploy.shipping.training_films import TrainingFilms
     from spikedeploy.trainers.progress import Interrupt
     from spikedeploy.trainers.train import train as learn
 
     interrupt, more = Interrupt(), {"seed": seed or 0, "resume": resume, "runs": runs, **settings}
-    more |= {"watch": LivePage(), "film": TrainingFilms(films)}
-    run = learn(recipe, quiet=json, interrupt=interrupt, **more)
+    run = learn(recipe, quiet=json, interrupt=interrupt, watch=LivePage(), **more)
     _show_run(run)
     if interrupt.share is not None:
         if json:
@@ -176,16 +167,16 @@ def _learn(
 
 
 def _show_run(run: Path) -> None:
-    """Write page, card and curves; a failure here does not affect the training."""
+    """Write the page; a failure here does not affect the training."""
+    from spikedeploy.reports.runs import write_run_page
     from spikedeploy.runtime.errors import SpikedeployError
-    from spikedeploy.shipping.run_card import write_run_files
     from spikedeploy.user_errors import one_line
 
     try:
-        write_run_files(run)
+        write_run_page(run)
     except (OSError, SpikedeployError) as error:
         with suppress(OSError):  # of a terminal that was closed
-            say(f"page and card are not written: {one_line(error) or error}")
+            say(f"the page is not written: {one_line(error) or error}")
 
 
 def visualize(

@@ -18,8 +18,6 @@ def play(
     policy: Annotated[str, typer.Option(metavar="FILE", autocompletion=completion.policies)]
     | None = None,
     chip: ChipName | None = None,
-    beside: Annotated[list[str], typer.Option(metavar="FILE", autocompletion=completion.policies)]
-    | None = None,
     record: Path | None = None,
     set_: EnvOptions | None = None,
     seed: Seed = seeds.EVALUATION,
@@ -30,7 +28,6 @@ def play(
 
     track: track of a kart: a name, or a .json file (default: big_S)
     policy: policy to watch (default: you drive a kart)
-    beside: a recorded drive (.npz) or a policy whose kart is shown beside yours; repeatable
     record: .npz file, one for each drive
     """
     from spikedeploy.outputs import check_output
@@ -46,7 +43,7 @@ def play(
 
     policy = policy and runnable(policy)
     options = parse_options(set_ or ()) | ({} if track is None else {"track": track})
-    drive = open_session(env, options, policy, chip, seed, record, beside or ())
+    drive = open_session(env, options, policy, chip, seed, record)
     show(DriveApp(drive, env))
     drive.close()
     files = [str(path) for path in drive.files]

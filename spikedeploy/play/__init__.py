@@ -2,9 +2,7 @@
 
 display  whether there is a screen, before anything is loaded
 session  drivers, and one of them in an environment, episode after episode
-window   the window: keys in, frames out, screenshots
-panel    colours, fonts, bars, the panel beside a picture
-spikes   spikes of the policy that drives
+window   the window: keys in, frames out, numbers beside the picture, screenshots
 """
 
 import os

@@ -1,9 +1,8 @@
 """Drivers of `spikedeploy play`, and episodes that follow one another."""
 
 import itertools
-import time
-from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,21 +13,15 @@ import pygame
 from numpy.typing import NDArray
 
 from spikedeploy import envs, zoo
-from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
+from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.make_env import make_env
-from spikedeploy.play.spikes import WINDOW, InferenceTrace, last_scores
-from spikedeploy.policies.costs import priced_by
-from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Player, find, open_policy
-from spikedeploy.recordings import Inference, costs_of_each, ledger_of, open_with_traces
-from spikedeploy.reports.columns import quoted_among
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 
 Floats = NDArray[np.float64]
 _UNKNOWN = 1 / 30  # [s] control step where an environment does not say
 _PAUSE = 1.5  # [s] that the end of an episode stays on the screen
-MEAN = 30  # control steps of which costs are the mean
 
 
 # drivers
@@ -39,12 +32,10 @@ class Driver:
 
     name: for people
     legend: keys and what they do
-    meter: meter of a spiking policy that drives
     """
 
     name = "you"
     legend: list[tuple[str, str]] = []  # noqa: RUF012
-    meter: "NetworkMeter | None" = None
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
@@ -102,69 +93,19 @@ class KeyboardDriver(Driver):
         return np.asarray(np.clip(np.sum(effects, axis=0), -1.0, 1.0))
 
 
-class NetworkMeter:
-    """The last inferences of a spiking policy, and what they cost.
-
-    table: energy table
-    seconds: time of the last action [s]
-    """
-
-    def __init__(self, player: NirController) -> None:
-        self._player, self.table = player, quoted_among(priced_by(player.chip))
-        self.reset()
-
-    def reset(self) -> None:
-        """Start an episode."""
-        self._inferences: deque[tuple[Inference, Floats]] = deque(maxlen=WINDOW)
-        self._costs: deque[tuple[float, float]] = deque(maxlen=MEAN)
-        self._before, self.seconds = ledger_of(self._player), 0.0
-
-    def read(self, seconds: float) -> None:
-        """Read the inference of an action that took so long."""
-        self.seconds = seconds
-        self._inferences.append(last_scores(self._player))
-        before, self._before = self._before, ledger_of(self._player)
-        if before is not None and self._before is not None:
-            sops, joules = costs_of_each(self._before.since(before), self.table)
-            self._costs.append((float(sops[0]), float(joules[0])))
-
-    @property
-    def trace(self) -> InferenceTrace | None:
-        """The last control steps; None before the first."""
-        return InferenceTrace.stack(self._inferences) if self._inferences else None
-
-    @property
-    def costs(self) -> tuple[float, float] | None:
-        """Synaptic operations and energy [J] of a control step; None if they are not counted.
-
-        Means of the last control steps.
-        """
-        if not self._costs:
-            return None
-        sops, joules = np.mean(self._costs, axis=0).tolist()
-        return sops, joules
-
-
 class PolicyDriver(Driver):
     """A policy that drives by itself."""
 
     def __init__(self, player: Player, name: str) -> None:
         self.name, self._player = name, player
-        self.meter = NetworkMeter(player) if isinstance(player, NirController) else None
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
         self._player.reset(seed)
-        if self.meter:
-            self.meter.reset()
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The policy's action."""
-        begin = time.perf_counter()
-        action = self._player.act(observation)
-        if self.meter:
-            self.meter.read(time.perf_counter() - begin)
-        return action
+        return self._player.act(observation)
 
 
 class CommandedPolicyDriver(PolicyDriver):
@@ -181,7 +122,7 @@ class CommandedPolicyDriver(PolicyDriver):
         pygame.K_LEFT: (0.0, 0.2),
         pygame.K_RIGHT: (0.0, -0.2),
     }
-    legend = [("↑ ↓", "speed"), ("← →", "turn"), ("SPACE", "stand")]  # noqa: RUF012
+    legend = [("UP DOWN", "speed"), ("LEFT RIGHT", "turn"), ("SPACE", "stand")]  # noqa: RUF012
 
     def __init__(self, player: Player, name: str, world: Any) -> None:  # noqa: ANN401
         super().__init__(player, name)
@@ -245,14 +186,12 @@ class Outcome:
 
 
 class Session:
-    """One driver in one environment, episode after episode, with others beside.
+    """One driver in one environment, episode after episode.
 
     seed: seed of the first episode; each further one has the next
-    beside: recorded drives, or policies that play each episode from its seed
     record: file for the rollouts; the second goes to <name>-2, and so on
     period: time of a control step [s]
     episode: the recorder of the current episode
-    others: poses (S, 3) of those beside, one row for each control step
     sums: reward term -> sum over the episode
     outcomes: outcomes of the episodes that ended
     files: files of recorded rollouts
@@ -264,9 +203,8 @@ class Session:
         driver: Driver,
         seed: int,
         record: Path | None = None,
-        beside: Sequence["Beside"] = (),
     ) -> None:
-        self.env, self.driver, self._record, self._beside = env, driver, record, beside
+        self.env, self.driver, self._record = env, driver, record
         self.world: Any = env.unwrapped
         self.period = float(getattr(self.world, "CONTROL_DT", None) or _UNKNOWN)
         self.outcomes: list[Outcome] = []
@@ -290,7 +228,6 @@ class Session:
         self._wait = 0
         self.episode = EpisodeRecorder(self.env, self._seed)
         self.driver.reset(self._seed)
-        self.others = [path(self._seed) for path in self._beside]
         self.sums: Counter[str] = Counter()
 
     def tick(self) -> None:
@@ -326,9 +263,6 @@ class Session:
         played.save(path)
 
 
-Beside = Callable[[int], Floats]  # seed of an episode -> poses (S, 3): x, y [px], heading [rad]
-
-
 def open_session(
     env: str,
     options: Mapping[str, Any],
@@ -336,7 +270,6 @@ def open_session(
     chip: str | None,
     seed: int,
     record: Path | None = None,
-    beside: Sequence[str] = (),
 ) -> Session:
     """Return the session of `spikedeploy play`.
 
@@ -344,31 +277,12 @@ def open_session(
     options: options of the environment
     policy: None for a person where keys can drive, else for a shipped policy
     chip: chip of a spiking policy; None is that of its training, or loihi1
-    beside: files that `--record` kept, and policies
+    record: as of Session
     """
     if record is not None and suffix(record) != ".npz":
         raise ConfigError(f"--record {record}: a drive is kept in a file that ends in .npz")
     world = make_env(env, options, render_mode="rgb_array")
-    others = [_open_beside(each, env, options) for each in beside]
-    return Session(world, _driver(env, world, policy, chip), seed, record, others)
-
-
-def _open_beside(reference: str, env: str, options: Mapping[str, Any]) -> Beside:
-    """Return the poses of a recorded drive, or of a policy from a seed; of karts alone."""
-    if suffix(reference) == ".npz":
-        played = Rollout.load(reference)
-        if played.env_id != envs.spec(env).id:
-            raise ConfigError(f"--beside {reference} is a drive in {played.env_id}, not in {env}")
-        return lambda seed: _poses(played)
-    world, candidate = make_env(env, options), find(reference)
-    player = open_policy(candidate, candidate.default_chip, world)
-    return lambda seed: _poses(rollout(world, player, seed))
-
-
-def _poses(played: Rollout) -> Floats:
-    if not {"x", "y", "heading"} <= set(played.info):
-        raise ConfigError(f"--beside shows karts, and {played.env_id} says no x, y and heading")
-    return np.stack([played.info[name] for name in ("x", "y", "heading")], axis=1)
+    return Session(world, _driver(env, world, policy, chip), seed, record)
 
 
 def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Driver:  # noqa: ANN401
@@ -381,7 +295,7 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
         return KeyboardDriver(inner.ACTIONS, None if is_discrete else inner.EFFECTS)
     candidate = _shipped(env) if policy is None else find(policy)
     chip = chip or candidate.default_chip
-    player = open_with_traces(candidate, chip, world, "total")
+    player = open_policy(candidate, chip, world)
     name = f"{candidate.name} on {chip}" if chip else candidate.name
     if hasattr(inner, "steer"):
         return CommandedPolicyDriver(player, name, inner)

@@ -1,43 +1,28 @@
-"""The window of `spikedeploy play`: keys in, frames out, and its panel.
+"""The window of `spikedeploy play`: keys in, frames out, and numbers beside the picture.
 
 The app draws itself as a surface, so that it can be tested, and filmed, without a window.
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pygame
 
 from spikedeploy import envs
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.play.display import check_display, check_driver
-from spikedeploy.play.panel import (
-    AMBER,
-    CYAN,
-    DIM,
-    GREEN,
-    HEIGHT,
-    LINE,
-    NIGHT,
-    RED,
-    TEXT,
-    TRACK,
-    Panel,
-    banner,
-    signed_bar,
-    write,
-)
-from spikedeploy.play.session import MEAN, Session
-from spikedeploy.play.spikes import WIDTH as SPIKES_WIDTH
-from spikedeploy.play.spikes import draw_inferences
+from spikedeploy.play.session import Session
 from spikedeploy.runtime.errors import ConfigError
 
 _SCREENSHOTS = Path("screenshots")
 MAX_TICKS = 25.0  # ticks between two frames
-_WIDTH = 400  # of the panel
+_WIDTH, _HEIGHT = 320, 800  # of the panel
+_NIGHT, _TEXT, _DIM = (15, 18, 25), (226, 232, 243), (134, 146, 168)
+_GREEN, _RED = (95, 211, 141), (242, 114, 123)
+_ROW = 24  # height of a line of the panel
+
+pygame.font.init()
 
 
 def show(app: "DriveApp", screenshots: Path = _SCREENSHOTS) -> None:
@@ -86,12 +71,12 @@ def _fit(screen: pygame.Surface, frame: pygame.Surface) -> None:
         width, height = frame.get_size()
         scale = min(screen.get_width() / width, screen.get_height() / height)
         frame = pygame.transform.smoothscale_by(frame, scale)
-        screen.fill(NIGHT)
+        screen.fill(_NIGHT)
     screen.blit(frame, frame.get_rect(center=screen.get_rect().center))
 
 
 class DriveApp:
-    """A session and its panel.
+    """A session, its picture, and its numbers.
 
     name: name of the environment
     title: title of the window
@@ -103,8 +88,8 @@ class DriveApp:
         self.title = f"{self.name} – spikedeploy"
         self.fps = 1.0 / session.period
         track = getattr(session.world, "track", None)
-        self._heading = f"{self.name} · {track.name}" if track else self.name
-        self._size = (HEIGHT, HEIGHT) if track else (HEIGHT * 4 // 3, HEIGHT)
+        self._heading = f"{self.name}, {track.name}" if track else self.name
+        self._size = (_HEIGHT, _HEIGHT) if track else (_HEIGHT * 4 // 3, _HEIGHT)
 
     def handle(self, event: pygame.Event) -> None:
         """Restart at R; any other key is passed to the driver."""
@@ -118,153 +103,83 @@ class DriveApp:
         self.session.tick()
 
     def draw(self) -> pygame.Surface:
-        """Return the environment, the panel, and a banner at the end of an episode."""
-        session, driver, (width, height) = self.session, self.session.driver, self._size
-        spikes = SPIKES_WIDTH if driver.meter else 0
-        surface = pygame.Surface((width + spikes + _WIDTH, height))
+        """Return the environment, the panel, and the outcome at the end of an episode."""
+        session, (width, height) = self.session, self._size
+        surface = pygame.Surface((width + _WIDTH, height))
+        surface.fill(_NIGHT)
         seen = surface.blit(_picture(session, self._size), (0, 0))
-        if driver.meter:
-            place = pygame.Rect(width, 0, spikes, height)
-            actions = getattr(session.world, "ACTIONS", ())
-            draw_inferences(surface, place, driver.name, driver.meter.trace, actions)
-        keys = [*driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
-        place = pygame.Rect(width + spikes, 0, _WIDTH, height)
-        _draw_sections(Panel(surface, place, self._heading, driver.name, keys), session)
+        y = 24
+        for label, value in self._rows():
+            _write(surface, label, y, (width + 24, "left"), _DIM if value else _TEXT)
+            _write(surface, value, y, (width + _WIDTH - 24, "right"), _TEXT)
+            y += _ROW
         if session.waiting:
-            outcome = session.outcomes[-1]
-            lap = "" if outcome.seconds is None else f"  {outcome.seconds:.2f} s"
-            banner(surface, seen, outcome.word + lap, GREEN if outcome.good else RED)
+            _draw_outcome(surface, seen, session)
         return surface
+
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        """Lines of the panel: a label, and its value."""
+        session, driver = self.session, self.session.driver
+        world, info = session.world, session.info
+        yield self._heading, ""
+        yield driver.name, ""
+        if "speed" in info and not isinstance(world, AdaptedEnv):
+            speed = float(info["speed"]) / (100 if hasattr(world, "track") else 1)
+            yield "speed", f"{speed:.2f} m/s"
+        if "command_speed" in info:
+            yield (
+                "commanded",
+                f"{info['command_speed']:+.2f} m/s  {info['command_turn']:+.2f} rad/s",
+            )
+        yield "time", f"{session.episode.steps * session.period:.2f} s"
+        if laps := [each.seconds for each in session.outcomes if each.seconds is not None]:
+            yield "last, best lap", f"{laps[-1]:.2f} s, {min(laps):.2f} s"
+        if hasattr(world, "track"):
+            yield "gates", f"{int(world.next_gate)} / {len(world.track.gates)}"
+        yield "return", f"{sum(session.sums.values()):+.2f}"
+        for name, value in session.sums.items():
+            yield f"   {name.replace('_', ' ')}", f"{value:+.2f}"
+        yield "", ""
+        yield from [*driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
+
+
+def _write(
+    surface: pygame.Surface,
+    text: str,
+    y: int,
+    x: tuple[int, str],
+    colour: tuple[int, int, int],
+    size: int = 22,
+) -> None:
+    """Write a line with its middle at y, and an edge, or its centre, at x."""
+    drawn = pygame.font.Font(None, size).render(text, True, colour)
+    place = drawn.get_rect(centery=y)
+    setattr(place, x[1], x[0])
+    surface.blit(drawn, place)
+
+
+def _draw_outcome(surface: pygame.Surface, picture: pygame.Rect, session: Session) -> None:
+    """Draw the end of an episode over the middle of the picture."""
+    outcome = session.outcomes[-1]
+    lap = "" if outcome.seconds is None else f"  {outcome.seconds:.2f} s"
+    box = pygame.Rect(0, 0, 280, 72)
+    box.center = picture.center
+    colour = _GREEN if outcome.good else _RED
+    pygame.draw.rect(surface, _NIGHT, box, border_radius=14)
+    pygame.draw.rect(surface, colour, box, 2, border_radius=14)
+    _write(surface, outcome.word + lap, box.centery, (box.centerx, "centerx"), colour, 36)
 
 
 def _picture(session: Session, size: tuple[int, int]) -> pygame.Surface:
-    """Return a kart's track with those beside it, or what another environment renders."""
+    """Return a kart's track, or what another environment renders."""
     if hasattr(session.world, "track"):
         from spikedeploy.envs.kart.picture import draw_env
 
-        poses = [path[min(session.episode.steps, len(path) - 1)] for path in session.others]
-        return draw_env(session.world, size, poses)
+        return draw_env(session.world, size)
     seen = pygame.surfarray.make_surface(session.world.render().swapaxes(0, 1))
     scale = min(size[0] / seen.get_width(), size[1] / seen.get_height())
     surface = pygame.Surface(size)
-    surface.fill(NIGHT)
+    surface.fill(_NIGHT)
     seen = pygame.transform.smoothscale_by(seen, scale)
     surface.blit(seen, seen.get_rect(center=surface.get_rect().center))
     return surface
-
-
-# sections of the panel
-
-_TOPS = {
-    "up": 4.0,
-    "forward": 4.4,
-    "accelerate": 5.99,
-    "straight": 3.0,
-}  # action of one kind of kart -> [m/s]
-
-
-def _is_kart(world: Any) -> bool:  # noqa: ANN401
-    return hasattr(world, "track")
-
-
-def _draw_sections(panel: Panel, session: Session) -> None:
-    world, meter = session.world, session.driver.meter
-    if not isinstance(world, AdaptedEnv):
-        _draw_speed(panel, session)
-    panel.y += 24
-    seconds = session.episode.steps * session.period
-    cells = [("time", f"{seconds:.2f} s", TEXT if seconds else DIM)]
-    if _is_kart(world):
-        laps = [each.seconds for each in session.outcomes if each.seconds is not None]
-        last, best = (f"{laps[-1]:.2f} s", f"{min(laps):.2f} s") if laps else ("–", "–")
-        cells.append(("last lap", last, TEXT if laps else DIM))
-        cells.append(("best lap", best, GREEN if laps else DIM))
-    panel.columns(cells, 19)
-    panel.y += 66
-    if _is_kart(world):
-        _draw_gates(panel, len(world.track.gates), int(world.next_gate))
-        _draw_lidar(panel, world)
-    if meter is not None:
-        share = meter.seconds / session.period
-        sops, joules = meter.costs or (None, None)
-        cells = [
-            ("SOPs", "–" if sops is None else f"{sops:,.0f}", TEXT),
-            ("energy", "–" if joules is None else f"{1e9 * joules:,.3g} nJ", TEXT),
-            ("deadline use", f"{100 * share:.1f} %", RED if share > 1 else TEXT),
-        ]
-        panel.columns(cells, 15)
-        panel.text(f"means of {MEAN} steps · energy by {meter.table}", 40, 12)
-        panel.y += 78
-    _draw_rewards(panel, session.sums)
-
-
-def _draw_speed(panel: Panel, session: Session) -> None:
-    """Draw a large number and a bar; a robot's command below it."""
-    scale = 100.0 if _is_kart(session.world) else 1.0  # of the world's unit in a metre
-    speed = float(session.info.get("speed", 0.0)) / scale
-    panel.title("speed")
-    number = panel.text(f"{speed:.2f}", 14, 44, TEXT, "bold")
-    unit = number.right + 8, number.bottom - 9
-    write(panel.surface, "m/s", unit, 15, DIM, anchor="bottomleft")
-    top = next((_TOPS[a] for a in getattr(session.world, "ACTIONS", ()) if a in _TOPS), 0.5)
-    panel.bar(abs(speed) / top, 72, 8)
-    panel.y += 80
-    if "command_speed" in session.info:
-        speed, turn = (session.info[f"command_{name}"] for name in ("speed", "turn"))
-        panel.text("commanded", 12, 13)
-        panel.value(f"{speed:+.2f} m/s   {turn:+.2f} rad/s", 12, 13, AMBER, "mono")
-        panel.y += 30
-
-
-def _draw_gates(panel: Panel, count: int, passed: int) -> None:
-    """Draw a mark for each gate: passed, next, to come."""
-    panel.title("gates")
-    panel.value(f"{passed} / {count}", -3, 14, TEXT, "bold")
-    gap = 6
-    width = (panel.inner.width - gap * (count - 1)) / count
-    for gate in range(count):
-        colour = GREEN if gate < passed else AMBER if gate == passed else TRACK
-        left = round(panel.inner.left + gate * (width + gap))
-        mark = pygame.Rect(left, panel.y + 20, round(width), 8)
-        pygame.draw.rect(panel.surface, colour, mark, border_radius=4)
-    panel.y += 52
-
-
-def _draw_lidar(panel: Panel, world: Any) -> None:  # noqa: ANN401
-    """Draw the LIDAR scan in the frame of the kart: ahead is up."""
-    surface, radius = panel.surface, 78
-    panel.title("lidar")
-    panel.text(f"{world.lidar.range / 100:.1f} m", 18, 13)
-    centre = np.array([panel.inner.centerx, panel.y + radius + 4])
-    for share in (1.0, 2 / 3, 1 / 3):
-        pygame.draw.aacircle(surface, LINE, tuple(centre), radius * share, 1)
-    turned = np.asarray(world.lidar.angles) - np.pi / 2 * world.TURNS
-    share = np.asarray(world.scan) / world.lidar.range
-    points = centre + radius * share[:, None] * np.stack((np.cos(turned), np.sin(turned)), axis=1)
-    seen_area = [tuple(point) for point in (centre, *points)]
-    if world.lidar.options.field >= 2 * np.pi:
-        seen_area.pop(0)
-    if len(seen_area) > 2:
-        veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
-        pygame.draw.polygon(veil, (*CYAN, 40), seen_area)
-        surface.blit(veil, (0, 0))
-    for point, reach in zip(points, share, strict=True):
-        colour, size = (RED, 3) if reach < 0.999 else (LINE, 2)
-        pygame.draw.aacircle(surface, colour, tuple(point), size)
-    pygame.draw.aacircle(surface, CYAN, tuple(centre), 5)
-    panel.y += 2 * radius + 32
-
-
-def _draw_rewards(panel: Panel, sums: Mapping[str, float]) -> None:
-    """Draw every reward term: its sum over the episode, as bar and number."""
-    panel.title("reward so far")
-    panel.value(f"{sum(sums.values()):+.2f}", -4, 16, TEXT, "bold")
-    panel.y += 24
-    inner, largest = panel.inner, max((abs(value) for value in sums.values()), default=0.0) or 1.0
-    rows = max(1, (inner.bottom - 66 - panel.y) // 21)
-    for name, value in [*sums.items()][:rows]:
-        panel.text(name.replace("_", " "), 0, 13)
-        place = pygame.Rect(inner.left + 130, panel.y + 5, inner.width - 130 - 74, 6)
-        signed_bar(panel.surface, place, value / largest)
-        panel.value(f"{value + 0.0:+.2f}", 0, 13, TEXT, "mono")
-        panel.y += 21

@@ -66,14 +66,6 @@ def _environment() -> "Environment":
     return made
 
 
-def standalone_svg(drawn: str) -> str:
-    """An SVG of a page as a file of its own, light or dark as its reader is."""
-    colours = asset("page.css").partition("* {")[0]
-    head, _, rest = drawn.partition(">")
-    own = "svg { background: var(--card); } text { fill: var(--ink); }"
-    return f"{head}><style>{colours}{own}</style>{rest}"
-
-
 # the folder of a page
 
 

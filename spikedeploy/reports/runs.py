@@ -278,7 +278,7 @@ def _next_commands(found: RunScores, live: bool) -> Iterator[tuple[str, str]]:
         yield "go on with the training", f"spikedeploy train --resume {run}"
     yield "compare it on fresh seeds", f"spikedeploy compare {shlex.quote(found.env)} {run}"
     yield "replay an episode", f"spikedeploy run {run} -o reports/{shlex.quote(found.name)}"
-    yield "make the folder ready to be uploaded", f"spikedeploy export {run} --to card --film"
+    yield "ship it with a card", f"spikedeploy publish {run} --name NAME -o my-zoo"
 
 
 def flatten(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -14,7 +14,5 @@ export_program  a policy as the kit of a chip: its integers, what is expected, a
 publish_run     an exported policy in the zoo, with its card, learning curve and evaluation
 cards           evaluations that cards and reports record; the page of a card, from templates/
 reproduce       an evaluation made again, number by number
-run_card        the card and pictures of a run folder
-training_films  films of a run while it is trained
 demo_reports    pages of the shipped policies on two tasks, and an index
 """

@@ -23,7 +23,6 @@ EXPORTERS = {
     "c": "export_c:export_c",
     "verilog": "export_verilog:export_verilog",
     "program": "export_program:export_program",
-    "card": "run_card:export_card",
 }
 # the flag of an option whose name in Python is another
 _FLAGS = {"raster": "input", "tool": "for", "written_by": "from"}

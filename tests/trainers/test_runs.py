@@ -411,8 +411,7 @@ def test_a_row_that_a_full_disk_cut_off_after_the_checkpoint_is_dropped(run):
 
 def test_what_a_kill_left_of_unfinished_files_is_deleted_and_exports_stay(run):
     ours = [run / ".config.json.77.part", run / "checkpoints" / ".last.safetensors.77.part"]
-    (run / "films").mkdir()
-    ours += [run / "films" / ".80.gif.77.part", run / ".card.md.0a1b2c-77.part"]
+    ours.append(run / ".report.html.0a1b2c-77.part")
     other = run / ".net.nir.77.part"
     for path in (*ours, other):
         path.write_bytes(b"half")

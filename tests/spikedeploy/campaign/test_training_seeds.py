@@ -17,7 +17,7 @@ WORDS = ["train", "CartPole-v1", "--recipe", "ppo-mlp", *(w for q in QUICK for w
 
 def test_each_seed_gives_what_a_command_of_its_own_does(tmp_path, command, monkeypatch):
     monkeypatch.chdir(ROOT)  # where the processes find the package
-    code, out, err = command(*WORDS, "--seeds", "0,3", "--runs", tmp_path, "--json", "--films", "1")
+    code, out, err = command(*WORDS, "--seeds", "0,3", "--runs", tmp_path, "--json")
     assert code == 0, err
     found = json.loads(out)
     assert [each["seed"] for each in found["seeds"]] == [0, 3]
@@ -31,7 +31,6 @@ def test_each_seed_gives_what_a_command_of_its_own_does(tmp_path, command, monke
     assert run.parent == tmp_path
     for name in ("checkpoints/last.safetensors", "checkpoints/best.safetensors", "config.json"):
         assert (run / name).read_bytes() == (alone / name).read_bytes()
-    assert len(list((run / "films").glob("*.gif"))) == 1
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,6 @@ def test_train_writes_a_run_folder_and_prints_it(command, tmp_path):
     assert code == 0
     run = Path(json.loads(out)["run"])
     assert run.name.startswith("smoke-s2-")
-    assert {"report.html", "card.md", "curve.svg"} <= {path.name for path in run.iterdir()}
     assert 'http-equiv="refresh"' not in (run / "report.html").read_text()
 
 

@@ -82,7 +82,6 @@ REFUSED = {
         "--board is no option": [("policy.nir", "-o", "out.nir", "--board", "icestick")],
     },
     "onnx": {"--for is no option": [("policy.nir", "-o", "out.onnx", "--for", "snntorch")]},
-    "card": {"leave -o out": [("policy.nir", "-o", "out")]},
     "rust": {"unknown format 'rust'": [("policy.nir", "-o", "out")]},
 }
 CASES = [(to, said, words) for to in REFUSED for said in REFUSED[to] for words in REFUSED[to][said]]

@@ -153,25 +153,6 @@ def test_a_recorded_drive_is_a_rollout_that_its_actions_repeat(tmp_path):
     np.testing.assert_array_equal(again.observation, kept.observation)
 
 
-def test_karts_beside_are_a_recorded_drive_and_a_policy_from_the_same_seed(tmp_path):
-    path = tmp_path / "drive.npz"
-    driven = open_session("kart-gazebo", {}, "gap", None, 10_000, path)
-    for _ in range(30):
-        driven.tick()
-    driven.close()
-    alone = open_session("kart-gazebo", {}, None, None, 10_000)
-    session = open_session("kart-gazebo", {}, None, None, 10_000, None, [str(path), "gap"])
-    recorded, played = session.others
-    np.testing.assert_array_equal(recorded, played[:30])
-    for each in (alone, session):
-        for _ in range(20):
-            each.tick()
-    assert (frame(DriveApp(alone, "kart-gazebo")) != frame(DriveApp(session, "kart-gazebo"))).any()
-    for reference, env in ((str(path), "kart-grid"), ("random", "hexapod")):
-        with pytest.raises(ConfigError, match="--beside"):
-            open_session(env, {"max_steps": 3}, "random", None, 10_000, None, [reference])
-
-
 def test_a_hexapod_walks_as_the_arrows_command():
     driven = drive("hexapod-command", terrain=0.0)
     assert driven.driver.name == "popsan on loihi1"
@@ -182,22 +163,17 @@ def test_a_hexapod_walks_as_the_arrows_command():
     assert driven.info["command_turn"] == pytest.approx(0.4)
 
 
-def test_a_spiking_policy_shows_its_spikes_and_what_a_step_costs(monkeypatch, tmp_path):
+def test_a_policy_is_watched_and_its_return_is_that_of_a_run(monkeypatch, tmp_path):
     toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
     driven = open_session("stroll", {}, "stroll/popsan", "loihi1", 10_000)
-    app, meter = DriveApp(driven, "stroll"), driven.driver.meter
-    empty = frame(app)
+    app = DriveApp(driven, "stroll")
     for _ in range(19):
         app.tick()
     shown = frame(app)
-    assert shown.shape == empty.shape
-    assert (shown != empty)[-800:-400].any()
     assert (shown[300:600, 300:500] == 190).all()  # what the camera sees
-    (row,) = run_policy("stroll/popsan", None, "loihi1", [10_000]).as_json()
     app.tick()
-    joules = row["energy_per_inference_j"]["horowitz45-int8"]
-    assert meter.costs == (pytest.approx(row["sops_per_inference"]), pytest.approx(joules))
-    assert meter.trace.rasters["input"].shape[0] == len(meter.trace.scores) == 20
+    assert (frame(app)[-300:] != shown[-300:]).any()  # the numbers
+    (row,) = run_policy("stroll/popsan", None, "loihi1", [10_000]).as_json()
     assert driven.outcomes[0].total == row["return_mean"]
 
 
