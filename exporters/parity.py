@@ -52,7 +52,7 @@ from spikedeploy.trainers.policies import (
     Policy,
     PopsanPolicy,
 )
-from spikedeploy.trainers.policies.delta_policy import event_channels, live_layers
+from spikedeploy.trainers.policies.delta_policy import HIDDEN_NODE, event_channels, live_neurons
 from spikedeploy.trainers.policies.spiking import CodedPolicy, TorchRateEncoder
 
 # (B, T) -> random bytes (B, T, M), as the methods of Xorshift
@@ -159,8 +159,8 @@ def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _Behaviour:
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
     events, hidden = events.flatten(0, 1), hidden.flatten(0, 1)
     spikes: Spikes = {"input": event_channels(policy, events.numpy())[None]}
-    for node, live in live_layers(policy).items():
-        spikes[node] = hidden[:, live].numpy().astype(np.int64)[None]
+    if (live := live_neurons(policy)).any():
+        spikes[HIDDEN_NODE] = hidden[:, live].numpy().astype(np.int64)[None]
     if policy.head == "continuous":
         return _Behaviour(spikes, _numbers(torch.tanh(mean)))
     return _Behaviour(spikes, _numbers(mean), mean.argmax(-1).numpy())

@@ -73,7 +73,7 @@ def _layers(policy: _Float) -> list[tuple[Tensor, Tensor]]:
     if isinstance(policy, MlpPolicy):
         return [(a.get_parameter("weight"), a.get_parameter("bias")) for a in policy.layers]
     both = zip(policy.layers, policy.biases, strict=True)
-    return [(matrix.whole(), bias) for matrix, bias in both]
+    return [(matrix(), bias) for matrix, bias in both]
 
 
 def _add_policy(graph: OnnxGraph, policy: _Float) -> None:
@@ -88,7 +88,7 @@ def _add_policy(graph: OnnxGraph, policy: _Float) -> None:
         )
     sums = _add_affine(graph, hidden, *last, len(layers))
     if not isinstance(policy, MlpPolicy) and policy.skip:
-        sums = sums + seen @ graph.constant(_array(policy.past.whole().T), "skip_weight")
+        sums = sums + seen @ graph.constant(_array(policy.past().T), "skip_weight")
     squash = "Identity" if policy.head == "discrete" else "Tanh"
     graph.node(squash, sums, name=OUTPUTS[policy.head])
 

@@ -3,20 +3,20 @@
 import numpy as np
 import torch
 
-from spikedeploy.trainers.config import DeltaMlpConfig, DeltaSnnConfig
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, PrunedMlpPolicy
+from spikedeploy.trainers.config import DeltaSnnConfig
+from spikedeploy.trainers.policies import DeltaSnnPolicy, PrunedMlpPolicy
 
 
-def with_config(config, **settings):
-    """Arguments of a policy, those that are of its configuration in one."""
-    own = {name: settings.pop(name) for name in config.model_fields if name in settings}
-    return {"settings": config(**own), **settings}
+def with_config(**settings):
+    """Arguments of an event-driven policy, those that are of its configuration in one."""
+    own = {n: settings.pop(n) for n in DeltaSnnConfig.model_fields if n in settings}
+    return {"settings": DeltaSnnConfig(**own), **settings}
 
 
 def delta_policy(obs=5, act=2, hidden=8, seed=0, left=0.7, **settings):
     """An event-driven policy with random weights, of which a share is left."""
     torch.manual_seed(seed)
-    policy = DeltaSnnPolicy(obs, act, **with_config(DeltaSnnConfig, hidden=hidden, **settings))
+    policy = DeltaSnnPolicy(obs, act, **with_config(hidden=hidden, **settings))
     policy.normalizer.mean.normal_()
     policy.normalizer.std.uniform_(0.5, 2.0)
     policy.step.uniform_(0.2, 0.6)
@@ -26,21 +26,6 @@ def delta_policy(obs=5, act=2, hidden=8, seed=0, left=0.7, **settings):
         policy._beta.normal_(0.4, 0.5)
         if hidden:
             policy._gamma.normal_(0, 0.5)
-    return thinned(policy, left)
-
-
-def delta_mlp(obs=5, act=2, hidden=8, seed=0, left=0.7, **settings):
-    """A delta network with random weights and thresholds, of which a share is left."""
-    torch.manual_seed(seed)
-    policy = DeltaMlpPolicy(obs, act, **with_config(DeltaMlpConfig, hidden=hidden, **settings))
-    policy.normalizer.mean.normal_()
-    policy.normalizer.std.uniform_(0.5, 2.0)
-    policy.step.uniform_(0.2, 0.6)
-    policy.threshold.uniform_(0.1, 0.4)
-    with torch.no_grad():
-        policy.past.weight.normal_(0, 0.3)
-        policy.bias.normal_(0.1, 0.2)
-        policy.action_bias.normal_(0, 0.2)
     return thinned(policy, left)
 
 

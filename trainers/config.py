@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import read_toml
@@ -143,13 +143,9 @@ class NetworkConfig(_Section):
 class DeltaSnnConfig(_Section):
     """Signed events into a small layer of LIF neurons, and past it into leaky readouts.
 
-    hidden: neurons, of each copy; 0 leaves a delta-coded linear policy
+    hidden: neurons; 0 leaves a delta-coded linear policy
     skip: whether events also reach the readout directly
-    copies: module:function that says which parts of the body share one network; empty for none
-    deep: further neurons, which read spikes of the hidden ones instead of events
     integrated: whether events reach the readout through integrators that hardly decay
-    memoryless: whether neurons are threshold units: membranes and the readouts of spikes keep
-        nothing from one timestep to the next, and events reach the readout through integrators
     most, code: events of an observation in a timestep, and on which channels; see
         runtime.codec.delta
     timesteps: timesteps of a control step. A pipelined chip acts on what it sees now from 3 on,
@@ -161,63 +157,27 @@ class DeltaSnnConfig(_Section):
     kind: Literal["delta-snn"] = "delta-snn"
     hidden: Count = 8
     skip: bool = True
-    copies: str = ""
-    deep: Count = 0
     integrated: bool = False
-    memoryless: bool = False
     most: Events = 3
     timesteps: Timesteps = 1
     code: Literal["unary", "one-hot"] = "one-hot"
     clock: Literal["gated", "pipelined"] = "pipelined"
     surrogate_width: Rate = 2.0
 
-    @model_validator(mode="after")
-    def _deep_neurons_read_hidden_ones(self) -> "DeltaSnnConfig":
-        if self.deep and not self.hidden:
-            raise ValueError("deep: without hidden neurons they have none to read. Set hidden")
-        if self.deep and self.clock != "pipelined":
-            raise ValueError("deep: these neurons read others a timestep late. Set clock=pipelined")
-        return self
-
-
-class DeltaMlpConfig(_Section):
-    """Signed events into a layer of sigma-delta ReLU neurons, and past it into the readout.
-
-    hidden, skip, most, code, clock: as in DeltaSnnConfig
-    threshold: threshold of a neuron, below which a change of its activation is not sent [standard
-        deviations of the activation]
-    """
-
-    kind: Literal["delta-mlp"] = "delta-mlp"
-    hidden: Count = 16
-    skip: bool = True
-    most: Events = 3
-    code: Literal["unary", "one-hot"] = "one-hot"
-    clock: Literal["gated", "pipelined"] = "pipelined"
-    threshold: Rate = 0.5
-
 
 class PrunedMlpConfig(_Section):
     """A small float network with a skip connection, pruned as the spiking ones are.
 
-    hidden: widths of its layers, of each copy
-    copies: as in DeltaSnnConfig
+    hidden: widths of its layers; none make it a linear policy
     """
 
     kind: Literal["pruned-mlp"] = "pruned-mlp"
     hidden: tuple[Width, ...] = (16,)
     skip: bool = True
-    copies: str = ""
 
 
 PolicyConfig = Annotated[
-    MlpConfig
-    | PopsanConfig
-    | SpikingMlpConfig
-    | NetworkConfig
-    | DeltaSnnConfig
-    | DeltaMlpConfig
-    | PrunedMlpConfig,
+    MlpConfig | PopsanConfig | SpikingMlpConfig | NetworkConfig | DeltaSnnConfig | PrunedMlpConfig,
     Field(discriminator="kind"),
 ]
 
@@ -225,9 +185,9 @@ PolicyConfig = Annotated[
 def spiking_layers(policy: PolicyConfig) -> int:
     """Return the number of a policy's spiking layers whose sparsity validation measures.
 
-    Graded ones count, the encoder does not. Networks on a chip are validated without records.
+    The encoder does not count. Networks on a chip are validated without records.
     """
-    if isinstance(policy, DeltaSnnConfig | DeltaMlpConfig):
+    if isinstance(policy, DeltaSnnConfig):
         return int(policy.hidden > 0)
     if isinstance(policy, PopsanConfig):  # whose last layer codes the actions
         return len(policy.hidden) + 1

@@ -110,11 +110,6 @@ class EnvBatch:
         return self._envs
 
     @property
-    def columns(self) -> dict[str, slice] | None:
-        """The environment's OBSERVATION table, None if it has none."""
-        return getattr(self._envs[0].unwrapped, "OBSERVATION", None)
-
-    @property
     def env_id(self) -> str:
         """Gymnasium's identifier."""
         return str(self._envs[0].spec.id)

@@ -369,9 +369,7 @@ class Ppo(EnvRunner[PpoConfig]):
     def __init__(self, config: PpoConfig, run: RunFolder) -> None:
         super().__init__(config, run, config.steps, config.checkpoint_every)
         envs = self._envs
-        self.policy = from_config(
-            config.policy, *envs.sizes, config.normaliser.clip, envs.columns, envs.head
-        )
+        self.policy = from_config(config.policy, *envs.sizes, config.normaliser.clip, envs.head)
         self.learner = PpoLearner(config, self.policy)
         self.iterations = 0
         self._learned: dict[str, float] = {}

@@ -1,10 +1,9 @@
-"""A hexapod that steps on no forbidden tile: environments, scripts and networks of a project."""
+"""A hexapod that steps on no forbidden tile: environments and scripts of a project."""
 
 from examples.hexapod_tiles.env import HexapodTiles, HexapodTilesAhead
 from examples.hexapod_tiles.footholds import FootholdScript
-from examples.hexapod_tiles.networks import legs
 
 footholds = FootholdScript("around")
 footholds_ahead = FootholdScript("ahead")
 
-__all__ = ["HexapodTiles", "HexapodTilesAhead", "footholds", "footholds_ahead", "legs"]
+__all__ = ["HexapodTiles", "HexapodTilesAhead", "footholds", "footholds_ahead"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy import envs
@@ -25,7 +26,7 @@ from spikedeploy.shipping.export_run import kind_of
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.policies import PrunedMlpPolicy
-from spikedeploy.trainers.policies.policy import in_bits
+from spikedeploy.trainers.policies.policy import PrunedWeight
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse import walks
 from spikedeploy.trainers.sparse.walks import BatchController, Episodes, Stateless
@@ -33,6 +34,24 @@ from spikedeploy.trainers.sparse.walks import BatchController, Episodes, Statele
 EPISODES = 100
 Counts = dict[str, float]
 Array = NDArray[Any]
+
+
+@torch.no_grad()
+def in_bits(policy: PrunedMlpPolicy, bits: int) -> PrunedMlpPolicy:
+    """Round a policy's weights to integers of so many bits, and return it.
+
+    The largest weight of a matrix fills the range. Weights that are rounded to 0 cost no
+    operations. Inputs, units and biases stay as they are.
+    """
+    for matrix in policy.modules():
+        if isinstance(matrix, PrunedWeight) and matrix.weight.numel():
+            weight = matrix.weight * matrix.mask
+            most = weight.abs().max().clamp(min=torch.finfo(weight.dtype).tiny)
+            scale = most / (2 ** (bits - 1) - 1)
+            steps = torch.round(weight / scale)
+            matrix.weight.copy_(steps * scale)
+            matrix.mask.copy_(steps != 0)
+    return policy
 
 
 class OnChip:

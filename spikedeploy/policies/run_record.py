@@ -13,7 +13,7 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.versions import own
 
 # kinds of policies that are exported as NIR
-SPIKING = ("popsan", "spiking-mlp", "network", "delta-snn", "delta-mlp")
+SPIKING = ("popsan", "spiking-mlp", "network", "delta-snn")
 
 
 def settings(run: Path) -> dict[str, Any]:

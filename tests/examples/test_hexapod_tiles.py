@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from examples.hexapod_tiles import HexapodTiles, HexapodTilesAhead, footholds, legs
+from examples.hexapod_tiles import HexapodTiles, HexapodTilesAhead, footholds
 from examples.hexapod_tiles.env import AIRTIME, SCANS, Tiles
 from examples.hexapod_tiles.footholds import FootholdScript, TileMap
 from examples.hexapod_tiles.kinematics import feet, joints
@@ -19,14 +19,10 @@ from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.setup import Setup
-from spikedeploy.trainers.config import DeltaSnnConfig, resolve
-from spikedeploy.trainers.policies import DeltaSnnPolicy, from_config
-from spikedeploy.trainers.sparse.settings import SparseConfig
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "hexapod_tiles"
 AROUND, AHEAD = "examples.hexapod_tiles:HexapodTiles", "examples.hexapod_tiles:HexapodTilesAhead"
-LEG_NETWORK = "examples.hexapod_tiles:legs"
 
 
 @pytest.fixture(scope="module")
@@ -238,47 +234,3 @@ def test_a_map_takes_the_majority_of_its_points():
     for _ in range(2):
         found.add(points, np.array([0.0, 1.0]))
     assert found.look_up(points).tolist() == [0.0, 1.0]
-
-
-# one network for all legs
-
-
-@pytest.mark.parametrize(("view", "points"), [("around", 35), ("ahead", 30)])
-def test_legs_read_their_own_part_of_the_scan_and_left_ones_its_mirror(view, points):
-    columns = HexapodTiles(view=view).OBSERVATION
-    inputs, signs, actions = legs(columns)
-    assert inputs.shape == signs.shape == (6, 16 + points)
-    assert actions.tolist() == np.arange(18).reshape(6, 3).tolist()
-    scan = SCANS[view][inputs[:, 16:] - columns["scan"].start]
-    assert np.allclose(scan[3:, :, 0], scan[:3, :, 0])
-    assert np.allclose(scan[3:, :, 1], -scan[:3, :, 1])
-    assert (signs[[0, 2, 4], :2] == 1).all()
-    assert (signs[[1, 3, 5], :2] == -1).all()
-
-
-def test_of_earlier_rows_legs_read_what_they_read_of_the_nearest_one():
-    columns = HexapodTilesAhead(delays=3).OBSERVATION
-    inputs, signs, _ = legs(columns)
-    assert inputs.shape == signs.shape == (6, 16 + 30 + 3 * 5)
-    nearest = inputs[:, 16:21] - columns["scan"].start
-    earlier = inputs[:, 46:].reshape(6, 3, 5) - columns["earlier"].start
-    assert np.array_equal(earlier, nearest[:, None] + 23 * np.arange(3)[:, None])
-
-
-def test_hidden_neurons_are_those_of_a_leg():
-    config = DeltaSnnConfig(copies=LEG_NETWORK, hidden=8, deep=4)
-    policy = from_config(config, 287, 18, columns=HexapodTiles().OBSERVATION)
-    assert isinstance(policy, DeltaSnnPolicy)
-    assert (policy.hidden, policy.deep) == (6 * 12, 6 * 4)
-    with pytest.raises(ConfigError, match="copies"):
-        from_config(config, 287, 18)
-
-
-@pytest.mark.parametrize(
-    ("recipe", "file"),
-    [("distill-small-mlp", "legs-mlp.toml"), ("distill-sparse", "legs-snn.toml")],
-)
-def test_recipes_of_the_project_are_whole(recipe, file):
-    config = resolve(SparseConfig, recipe, file=FOLDER / file)
-    assert config.policy.copies == LEG_NETWORK
-    assert config.teacher == "examples.hexapod_tiles:footholds"

@@ -9,7 +9,7 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.policies.delta_policy import live_neurons
-from tests.delta_policies import delta_mlp, delta_policy, walk
+from tests.delta_policies import delta_policy, walk
 
 ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sparse")
 SHAPES = [
@@ -32,13 +32,9 @@ def failed(checks):
     return [check.name for check in checks if not check.passed]
 
 
-@pytest.mark.parametrize(
-    ("make", "shape"),
-    [(delta_policy, shape) for shape in SHAPES]
-    + [(delta_mlp, shape) for shape in SHAPES if "timesteps" not in shape],
-)
-def test_torch_numpy_and_ideal_agree_over_an_episode(make, shape, tmp_path):
-    policy = make(**shape)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_torch_numpy_and_ideal_agree_over_an_episode(shape, tmp_path):
+    policy = delta_policy(**shape)
     checks = check(policy, written(policy, tmp_path), walk(200))
     assert not failed(checks)
     live = int(live_neurons(policy).sum())

@@ -13,7 +13,6 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
-from spikedeploy.trainers.policies.shared_weights import Copies
 from tests.delta_policies import pruned_mlp, walk
 
 ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-sac", 3, 7, "2026-01-01T00:00:00Z", "0.1.0")
@@ -132,9 +131,6 @@ def test_effective_operations_of_a_pruned_policy_are_those_of_a_hand_count(skip,
     assert player.effective_macs(observation) == pytest.approx(count / len(observation))
     everything = [int(layer.mask.sum()) for layer in policy.layers] + [int(policy.past.mask.sum())]
     assert player.metadata["macs"] == str(sum(everything))
-
-
-ARMS = Copies(inputs=[[0, 1, 4], [2, 3, 4]], signs=[[1, 1, 1], [1, 1, -1]], outputs=[[0], [1]])
 
 
 def test_files_without_fan_outs_count_all_weights(tmp_path):

@@ -14,8 +14,9 @@ from spikedeploy.policies.costs import spiking_costs
 from spikedeploy.runtime.artifact.artifact import load, save
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
-from spikedeploy.trainers.policies.delta_policy import delta_artifact
-from tests.delta_policies import delta_mlp
+from spikedeploy.trainers.policies.delta_policy import delta_codec
+from tests.delta_policies import delta_policy
+from tests.graded import delta_network
 from tests.networks import chain, cuba, event_driven
 from tests.paths import ROOT
 
@@ -108,7 +109,9 @@ def test_another_convention_is_recounted(reset, integrator, tmp_path):
 
 def test_a_delta_network_is_recounted(tmp_path):
     path = tmp_path / "graded.nir"
-    save(delta_artifact(delta_mlp(clock="gated")), path)  # as the script computes
+    network, codec = delta_network(inputs=30, hidden=(8,), actions=2), delta_codec(delta_policy())
+    gated = replace(network.convention, clock="gated")  # as the script computes
+    save(replace(network, codec=codec, convention=gated), path)
     found, controller = check(path, tmp_path)
     check_operations(found, controller.ledger)
     assert 0 < found["spikes/sd1"].mean() < 8

@@ -49,7 +49,6 @@ BOUNDS = {
     "smoke-distill": 0.1,  # 2e-7 (0.02)
     "smoke-sparse": 0.5,  # 3e-6 (5e-5)
     "smoke-sparse-mlp": 0.5,  # 2e-4 (0.2)
-    "smoke-sparse-delta-mlp": 0.5,  # 0.013 (0.013)
     "smoke-sparse-tuned": 0.5,  # 8e-7 (3e-5)
 }
 FIRST = 1e-3  # of a training's first row: 1e-5 (9e-6)
@@ -110,7 +109,6 @@ TRAININGS = {
     "smoke-kart": (("steps=512",), "nir"),
     "smoke-sparse": (SPARSE, "nir"),
     "smoke-sparse-mlp": (SPARSE, "onnx"),
-    "smoke-sparse-delta-mlp": (SPARSE, "nir"),
     "smoke-sparse-tuned": (("start={run}", "iterations=2"), "nir"),  # of smoke-sparse
 }
 

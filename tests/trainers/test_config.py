@@ -94,7 +94,7 @@ def test_differences_from_a_recipe_rebuild_the_configuration():
         ("smoke-sparse", "step=inf", "step: .* finite"),
         ("smoke-sparse", "levels=[inf]", "levels.0: .* finite"),
         ("smoke-sparse", "policy.most=300", "most: .* less than or equal to 256, got 300"),
-        ("smoke-sparse-delta-mlp", "policy.most=0", "most: .* greater than or equal to 1, got 0"),
+        ("smoke-sparse", "policy.most=0", "most: .* greater than or equal to 1, got 0"),
         ("smoke-sparse", "policy.timesteps=1025", "timesteps: .* equal to 1024, got 1025"),
         ("smoke-sparse", "burn_in=20", r"smoke-sparse: window: 20 .* burn_in \(20\)"),
         ("smoke-sparse", "window=1", r"smoke-sparse: window: 1 .* burn_in \(6\)"),

@@ -178,9 +178,7 @@ class Distill(Runner[DistillConfig]):
         envs = iteration_envs(config, 0)
         sizes = envs.sizes
         self._teacher.check_sizes(config.teacher, config.env.name, sizes)
-        self.policy = from_config(
-            config.policy, *sizes, config.normaliser.clip, envs.columns, envs.head
-        )
+        self.policy = from_config(config.policy, *sizes, config.normaliser.clip, envs.head)
         self.learner = DistillLearner(config, self.policy)
         self.dataset = DaggerDataset(*sizes)
         self.updates = self.iterations = 0

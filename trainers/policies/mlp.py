@@ -14,7 +14,6 @@ from spikedeploy.trainers.policies.policy import (
     TorchNormaliser,
     full_precision,
 )
-from spikedeploy.trainers.policies.shared_weights import Copies, he_normal, weights_between
 
 
 class MlpPolicy(Policy):
@@ -53,9 +52,8 @@ class MlpPolicy(Policy):
 class PrunedMlpPolicy(Policy):
     """A float network with ReLU, a linear path past it, and masks on all weights.
 
-    hidden: widths of the hidden layers, of all copies together; none make it a linear policy
+    hidden: widths of the hidden layers; none make it a linear policy
     skip: whether the observation also reaches the output directly
-    copies: copies of a network that serves several parts of a body; None for one network
     layers, biases: weights of each hidden layer, then of the output; and their biases
     past: weights of the skip connection
     """
@@ -70,21 +68,18 @@ class PrunedMlpPolicy(Policy):
         skip: bool = True,
         clip: float = 4.0,
         head: Head = "continuous",
-        copies: Copies | None = None,
     ) -> None:
         super().__init__()
         self.observations, self.actions, self.hidden = observations, actions, tuple(hidden)
-        self.skip, self.head, self.copies = skip and bool(hidden), head, copies
+        self.skip, self.head = skip and bool(hidden), head
         self.normalizer = TorchNormaliser(observations, clip)
         widths = list(pairwise((observations, *hidden, actions)))
-        last = len(widths) - 1
+        # (He et al. 2015)
         self.matrices = nn.ModuleList(
-            weights_between(copies, pair, he_normal, reads=k == 0, acts=k == last)
-            for k, pair in enumerate(widths)
+            PrunedWeight(torch.randn(n, m) * (2 / m) ** 0.5) for m, n in widths
         )
         self.biases = nn.ParameterList(torch.zeros(n) for _, n in widths)
-        read = observations if self.skip else 0
-        self.past = weights_between(copies, (read, actions), torch.zeros, reads=True, acts=True)
+        self.past = PrunedWeight(torch.zeros(actions, observations if self.skip else 0))
         self.latent_size = widths[-1][0]
 
     @property
@@ -98,10 +93,10 @@ class PrunedMlpPolicy(Policy):
         inputs = [seen]
         *hidden, last = zip(self.layers, self.biases, strict=True)
         for matrix, bias in hidden:
-            inputs.append(torch.relu(matrix.drive(inputs[-1], matrix()) + bias))
-        mean = last[0].drive(inputs[-1], last[0]()) + last[1]
+            inputs.append(torch.relu(inputs[-1] @ matrix().T + bias))
+        mean = inputs[-1] @ last[0]().T + last[1]
         if self.skip:
-            mean = mean + self.past.drive(seen, self.past())
+            mean = mean + seen @ self.past().T
         return mean, inputs
 
     def latent(self, observation: Tensor) -> Latent:

@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from inspect import signature
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -202,57 +202,10 @@ class PrunedWeight(nn.Module):
         """Return the weights (N, M), zero where a synapse was taken out."""
         return self.weight * self.mask
 
-    def read(self, inputs: Tensor) -> Tensor:
-        """Return what each of K copies of the weights reads (..., K, m) of inputs (..., M)."""
-        return inputs.unsqueeze(-2)
-
-    def drive(self, inputs: Tensor, weight: Tensor) -> Tensor:
-        """Return what inputs (..., M) bring to each neuron (..., N) through such weights."""
-        return inputs @ weight.T
-
-    def whole(self) -> Tensor:
-        """Return the weights of all pairs of neurons (N, M)."""
-        weight: Tensor = self()
-        return weight
-
-    @property
-    def whole_mask(self) -> Tensor:
-        """(N, M) 1 where a neuron has a synapse from another that is left."""
-        return self.mask
-
-    def block(self, matrix: Tensor) -> Tensor:
-        """Return a matrix (N, M) in the shape of the weights."""
-        return matrix
-
     @property
     def fan_out(self) -> Tensor:
         """Synapses (M,) that are left of each presynaptic neuron."""
-        return self.whole_mask.sum(0)
-
-    def uses(self, rate: Tensor) -> Tensor:
-        """Return operations of each weight, of its shape, where inputs take `rate` (M,) each."""
-        return rate.expand_as(self.mask)
-
-
-P = TypeVar("P", bound=Policy)
-
-
-@torch.no_grad()
-def in_bits(policy: P, bits: int) -> P:
-    """Round a policy's weights to integers of so many bits, and return it.
-
-    The largest weight of a matrix fills the range. Weights that are rounded to 0 cost no
-    operations. Inputs, units and biases stay as they are.
-    """
-    for matrix in policy.modules():
-        if isinstance(matrix, PrunedWeight) and matrix.weight.numel():
-            weight = matrix.weight * matrix.mask
-            most = weight.abs().max().clamp(min=torch.finfo(weight.dtype).tiny)
-            scale = most / (2 ** (bits - 1) - 1)
-            steps = torch.round(weight / scale)
-            matrix.weight.copy_(steps * scale)
-            matrix.mask.copy_(steps != 0)
-    return policy
+        return self.mask.sum(0)
 
 
 @dataclass(frozen=True)
@@ -276,4 +229,4 @@ class SynapseGroup:
     @property
     def uses(self) -> Tensor:
         """Mean operations of each weight in a control step, of its shape."""
-        return self.matrix.uses(self.rate)
+        return self.rate.expand_as(self.matrix.mask)

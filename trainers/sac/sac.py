@@ -45,7 +45,7 @@ class Sac(EnvRunner[SacConfig]):
                 "discrete ones: train it with a recipe of ppo"
             )
         check_shaping(config.shaping, config.env)
-        self.policy = from_config(config.policy, *sizes, config.normaliser.clip, self._envs.columns)
+        self.policy = from_config(config.policy, *sizes, config.normaliser.clip)
         gpu = config.device == "cuda"
         self.learner = (CudaLearner if gpu else SacLearner)(config, self.policy)
         capacity = min(config.buffer, config.steps)

@@ -1,13 +1,12 @@
-"""Steps of the encoder and thresholds of delta networks, by what the walks of a pool show."""
+"""Steps of the encoder, by what the walks of a pool show."""
 
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy
+from spikedeploy.trainers.policies import DeltaSnnPolicy
 from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.walks import WalkPool
 
@@ -15,7 +14,6 @@ FloatArray = NDArray[np.float64]
 _WINDOWS = 256  # on which sensitivities are measured
 _PROJECTIONS = 8
 _MIN_STEP, _MAX_STEP = 0.1, 4.0  # [standard deviations]
-_MIN_SPREAD = 1e-3  # standard deviation of an activation that hardly varies
 _SAMPLE = 20_000  # states that show whether an observation is binary
 _RARE = 2  # states: a value that fewer have is an outlier, as of a force that is nearly always zero
 _SWING = 1e-2  # between two values; below it they are one value with noise
@@ -77,15 +75,3 @@ def _sensitivity(policy: DeltaSnnPolicy, pool: WalkPool, config: SparseConfig) -
         )
         total += sum(each.square().sum((0, 1)) for each in found if each is not None)
     return (total / (_PROJECTIONS * action.shape[0] * action.shape[1])).double().numpy()
-
-
-@torch.no_grad()
-def choose_thresholds(policy: DeltaMlpPolicy, pool: WalkPool, config: SparseConfig) -> Tensor:
-    """Return thresholds (H,), the policy's share of the standard deviation of each activation.
-
-    That of a neuron whose activation hardly varies stays as it is.
-    """
-    batch = pool.sample(np.random.default_rng(0), _WINDOWS, config.window, config.burn_in)
-    seen = batch.seen[:, config.burn_in :]
-    spread = torch.relu(policy.into.drive(seen, policy.into()) + policy.bias).std((0, 1))
-    return torch.where(spread > _MIN_SPREAD, policy.share * spread, policy.threshold)

@@ -80,16 +80,9 @@ class Ended:
 def planned(config: SparseConfig) -> list[Phase]:
     """Return the phases of a run whose levels are set, in order."""
     plan = _Plan(config)
-    rate = config.learning_rate
-    once = Phase(0, config.dense_updates, None, rate, 0.02 * rate, 0.0)
-    length = plan.dense_length
     for k in range(config.dense_rounds):
         low = 0.05 if k == config.dense_rounds - 1 else 0.3
-        high = rate
-        if config.schedule == "once":
-            high = once.rate(k * length)
-            low = once.rate(min((k + 1) * length, once.end)) / high
-        plan.add(length, None, high, low, 0.0)
+        plan.add(plan.dense_length, None, config.learning_rate, low, 0.0)
     for level in config.rounds:
         plan.level(level)
     for _ in range(config.polish):

@@ -20,8 +20,8 @@ from torch import Tensor
 from spikedeploy.runtime.chips.chip import Chip, chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy
-from spikedeploy.trainers.policies.delta_policy import delta_artifact, live_layers
+from spikedeploy.trainers.policies import DeltaSnnPolicy
+from spikedeploy.trainers.policies.delta_policy import delta_artifact, live_neurons
 
 _STEP = "weights"  # the kind of rounding, as an arithmetic's `ablation_steps` name it
 
@@ -42,56 +42,45 @@ def rounding_offsets(
     """Return what rounding adds to each field of DeltaWeights, and the quanta of each matrix.
 
     That of an observation is the error of the channel of one event. Decay factors, biases and
-    thresholds of LIF neurons are those of the chip's registers; of sigma-delta neurons only weights
-    are rounded here. Weights are rounded to multiples of their quanta; 0 for those that are out.
+    thresholds are those of the chip's registers. Weights are rounded to multiples of their quanta;
+    0 for those that are out.
     """
     artifact = delta_artifact(policy)
     exact = compile_program(artifact, chip("ideal"), limits=False)
     rounded = compile_program(artifact, target, limits=False)
-    weights, groups = vars(policy.weights()).items(), policy.groups
-    offsets = {name: torch.zeros_like(each) for name, each in weights if each is not None}
-    offsets |= {name: torch.zeros_like(each.whole_mask) for name, each in groups.items()}
-    quanta = {name: torch.zeros_like(each.whole_mask) for name, each in groups.items()}
-    layers = live_layers(policy)
-    graded = isinstance(policy, DeltaMlpPolicy)
+    offsets = {name: torch.zeros_like(each) for name, each in vars(policy.weights()).items()}
+    quanta = {name: torch.zeros_like(each.mask) for name, each in policy.groups.items()}
+    live = torch.nonzero(live_neurons(policy)).ravel()
     for before, after in zip(exact.layers, rounded.layers, strict=True):
         units = target.arithmetic.partly_rounded(before, after, _STEP)
         # on the grid of the chip lie all weights of a layer, whatever is left of each matrix
         held = np.concatenate([np.abs(s.weight).ravel() for s in units.synapses])
         step = _grid(held.astype(np.int64), target) * after.scale
+        rows = live if before.spiking else torch.arange(policy.actions)
         for old, new in zip(before.synapses, units.synapses, strict=True):
-            # from events, and from neurons
-            names = ("into", "back") if before.name in layers else ("past", "out")
-            name = names[old.source in layers]
-            rows = layers.get(before.name, torch.arange(policy.actions))
-            columns = layers.get(old.source, torch.arange(policy.observations))
             error = new.weight * after.scale - old.weight
-            counts = np.ones(len(error))  # what a unit of the source's output counts
-            if old.source == exact.input:
+            counts, columns = np.ones(len(error)), live  # what a unit of the source's output counts
+            if from_events := old.source == exact.input:
                 # that of the channel of one event
                 error = error.reshape(policy.observations, 2 * policy.most, -1)[:, 0]
-                counts = policy.step.double().numpy()
-            elif graded:  # by what a spike counts
-                counts = policy.threshold[columns].double().numpy()
+                counts, columns = policy.step.double().numpy(), torch.arange(policy.observations)
+            name = "into" if before.spiking else "past" if from_events else "out"
             for found, each in ((offsets, error), (quanta, np.broadcast_to(step, error.shape))):
                 of_unit = torch.from_numpy((each / counts[:, None]).T).float()
                 found[name][rows[:, None], columns[None]] = of_unit
-        if graded:
-            continue
         decay = torch.from_numpy(after.membrane_decay / target.arithmetic.decay_one).float()
         if before.name == "readout" and policy.hidden:
             offsets["gamma"] = decay - policy.gamma
         if before.spiking:
-            live = layers[before.name]
             bias = after.voltage_bias * after.scale - before.voltage_bias
             threshold = after.threshold * after.scale - before.threshold
             offsets["beta"][live] = decay - policy.beta[live]
             offsets["bias"][live] = torch.from_numpy(bias).float()
             offsets["threshold"][live] = torch.from_numpy(threshold).float()
     # what pruning took out stays out
-    matrices = {name: each.block(offsets[name]) * each.mask for name, each in groups.items()}
-    steps = {name: each.block(quanta[name]).abs() * each.mask for name, each in groups.items()}
-    return matrices if graded else offsets | matrices, steps
+    matrices = {name: offsets[name] * each.mask for name, each in policy.groups.items()}
+    steps = {name: quanta[name].abs() * each.mask for name, each in policy.groups.items()}
+    return offsets | matrices, steps
 
 
 def _grid(held: NDArray[np.int64], target: Chip) -> int:

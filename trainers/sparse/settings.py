@@ -8,7 +8,6 @@ from spikedeploy.trainers.config import (
     EVALUATION_SEEDS,
     Batch,
     Count,
-    DeltaSnnConfig,
     Positive,
     Rate,
     RunConfig,
@@ -61,8 +60,6 @@ class SparseConfig(RunConfig):
     chip: on which policies are validated, and for whose weights they are rounded in training
     rounding: whether the forward pass computes with the chip's rounded weights after pruning began
     sharpness: factor of the teacher's logits in the targets of discrete actions
-    schedule: of the learning rate before pruning: it falls in each of the dense "rounds", whose
-        optimisers are new, or "once" over all of them
     """
 
     teacher: str = ""
@@ -104,7 +101,6 @@ class SparseConfig(RunConfig):
     chip: str = "loihi1"
     rounding: bool = True
     sharpness: Rate = 2.0
-    schedule: Literal["rounds", "once"] = "rounds"
     log_every: Positive = 200
     checkpoint_every: Positive = 1_000
     validation: ValidationConfig = ValidationConfig(every=1_000, episodes=24)
@@ -115,20 +111,6 @@ class SparseConfig(RunConfig):
             raise ValueError(
                 f"window: {self.window} control steps leave none to learn from behind burn_in "
                 f"({self.burn_in}). Make window longer or burn_in shorter"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _burn_in_fills_the_pipeline(self) -> "SparseConfig":
-        policy = self.policy
-        if not isinstance(policy, DeltaSnnConfig) or not policy.memoryless:
-            return self
-        late = (1 + (policy.deep > 0)) * (policy.clock == "pipelined")  # timesteps to a readout
-        least = -(-max(late - policy.timesteps + 1, 0) // policy.timesteps)
-        if self.burn_in < least:
-            raise ValueError(
-                f"burn_in: an action depends on what was seen up to {late} timesteps before. Set "
-                f"burn_in={least} at least"
             )
         return self
 

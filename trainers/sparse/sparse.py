@@ -126,9 +126,7 @@ class Sparse(Runner[SparseConfig]):
             config.teacher, config.env.name, config.env.options, config.teacher_units
         ).among(self._episodes.worlds)
         self._teacher.check_sizes(config.teacher, config.env.name, self._sizes)
-        self.policy = from_config(
-            config.policy, *self._sizes, config.normaliser.clip, batch.columns, batch.head
-        )
+        self.policy = from_config(config.policy, *self._sizes, config.normaliser.clip, batch.head)
         self.pool = WalkPool()
         self._student = student(self.policy, config)
         self.learner = SparseLearner(config, self._student)
@@ -162,7 +160,6 @@ class Sparse(Runner[SparseConfig]):
             self._collect(Stateless(self._noisy), config.noisy_walks)
         self._fit()
         self._prepare()
-        self._student.set_thresholds(self.pool)
 
     def _references(self, seeds: list[int]) -> tuple[float, float]:
         """Return the mean returns of the teacher, and of random actions, on these seeds."""
@@ -197,12 +194,10 @@ class Sparse(Runner[SparseConfig]):
         when = ("always",) if polished else ("always", "before-polish")
         if self._config.retune in when:
             student.retune(self.pool, self._binary)
-        student.set_thresholds(self.pool)
         self._prepare()
         self.phase += 1
         self.start = operations(self._student.synapses())
-        if self._config.schedule == "rounds" or self._phases[self.phase].last is not None:
-            self.learner.restart()
+        self.learner.restart()
 
     def _prepare(self) -> None:
         """Encode the walks of the pool."""
@@ -248,13 +243,6 @@ class Sparse(Runner[SparseConfig]):
         normaliser.mean[self._binary] = torch.from_numpy(low).float()
         normaliser.std[self._binary] = torch.from_numpy(high - low).float()
         self._student.start(self._binary)
-        normaliser.mean.copy_(self._alike(normaliser.mean, signed=True))
-        normaliser.std.copy_(self._alike(normaliser.std))
-
-    def _alike(self, values: Tensor, signed: bool = False) -> Tensor:
-        """Return values (obs,), the same where copies of a network read the same."""
-        copies = getattr(self.policy, "copies", None)
-        return copies.means(values, signed) if copies else values
 
     # validation and checkpoints
 

@@ -36,7 +36,7 @@ from spikedeploy.trainers.config import (
 )
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS
-from spikedeploy.trainers.policies import DeltaMlpPolicy, Policy
+from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, means, minibatches
 from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
@@ -169,11 +169,6 @@ def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, Spar
             f"{', '.join(run.levels.values()) or 'none of any level yet'}."
         )
     policy = run.policy(level)
-    if isinstance(policy, DeltaMlpPolicy):
-        raise ConfigError(
-            f"start: {config.start} has sigma-delta neurons, with which PPO cannot go on. "
-            "Give a run with LIF neurons or of a float network."
-        )
     if level.startswith(LEVEL):
         source = source.model_copy(update={"budget": float(level.removeprefix(LEVEL))})
     return run, source, policy

@@ -13,7 +13,7 @@ from torch import Tensor
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.distill.teacher import compute_cross_entropy
-from spikedeploy.trainers.policies import DeltaMlpPolicy, DeltaSnnPolicy, Policy, PrunedMlpPolicy
+from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta_policy import (
     DeltaWeights,
     delta_codec,
@@ -25,7 +25,6 @@ from spikedeploy.trainers.run_folder import with_prefix
 from spikedeploy.trainers.sparse.delta_encoder import (
     binary_columns,
     choose_steps,
-    choose_thresholds,
 )
 from spikedeploy.trainers.sparse.rounding import (
     round_for_chip,
@@ -58,9 +57,6 @@ class Student:
 
     def retune(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
         """Set the encoder's steps anew, by how much each observation matters."""
-
-    def set_thresholds(self, pool: WalkPool) -> None:
-        """Set the thresholds of graded neurons by the walks, which are encoded."""
 
     # learning
 
@@ -131,8 +127,7 @@ class Student:
 class DeltaStudent(Student):
     """A DeltaSnnPolicy, which learns from windows of walks.
 
-    hidden_rate: (H,) mean spikes of the hidden neurons in a control step; of neurons without
-        memory T times those of the timestep that actions read
+    hidden_rate: (H,) mean spikes of the hidden neurons in a control step
     offsets: what rounding by the chip adds to each field of DeltaWeights; none before `round`
     quanta: by matrix, the quantum to whose multiples weights are rounded in each forward pass
     each_pass: whether they are; otherwise offsets hold from one `round` to the next, so that what
@@ -162,15 +157,12 @@ class DeltaStudent(Student):
         found[found] = binary_columns(
             np.concatenate([w.observation[:, binary] for w in pool.walks])
         )
-        if copies := self.policy.copies:  # where copies read the same, all of them do
-            found[copies.columns.numpy()] = found[copies.columns.numpy()].all(0)
         self.policy.two_valued = tuple(np.flatnonzero(found).tolist())
 
     def retune(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
         """Set the encoder's steps anew, by how much each observation matters."""
-        step = torch.from_numpy(choose_steps(self.policy, pool, binary, self._config))
-        copies = self.policy.copies
-        self.policy.step.copy_(copies.means(step) if copies else step)
+        step = choose_steps(self.policy, pool, binary, self._config)
+        self.policy.step.copy_(torch.from_numpy(step))
 
     def prepare(self, pool: WalkPool) -> None:
         """Compute the pool's events with the policy's encoder: `loss` and `replay` need them."""
@@ -179,9 +171,8 @@ class DeltaStudent(Student):
         rows = (normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
         policy = self.policy
         pool.encode(
-            rows, delta_encoder(precise), policy.current_decay, policy.delay, policy.timesteps,
-            moves=not policy.memoryless,
-        )  # fmt: skip
+            rows, delta_encoder(precise), policy.current_decay, policy.delay, policy.timesteps
+        )
         self._event_rate = pool.event_rate
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
@@ -196,13 +187,7 @@ class DeltaStudent(Student):
         rate = spikes[:, c.burn_in :].mean((0, 1))
         self.hidden_rate = torch.lerp(self.hidden_rate, rate.detach(), _SMOOTHING)
         excess = (rate.sum() / max(len(rate), 1) - c.rate_target).relu()
-        return error, (rate * self._fan_out).sum() + c.rate_cost * excess
-
-    @property
-    def _fan_out(self) -> Tensor:
-        """Synapses (H,) that a spike of each hidden neuron passes."""
-        policy = self.policy
-        return policy.out.fan_out + policy.back.fan_out if policy.deep else policy.out.fan_out
+        return error, (rate * self.policy.out.fan_out).sum() + c.rate_cost * excess
 
     def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
         """Return means (B, L, act) and hidden spikes (B, L, H) of windows."""
@@ -248,7 +233,7 @@ class DeltaStudent(Student):
 
     def hidden_operations(self, activities: list[Tensor]) -> Tensor:
         """Return the hidden neurons' operations for spikes (n, H), with a gradient."""
-        return (activities[0].mean(0) * self._fan_out).sum()
+        return (activities[0].mean(0) * self.policy.out.fan_out).sum()
 
     def adopt_rates(self, activities: list[Tensor]) -> None:
         """Take over how often hidden neurons spike, from spikes (n, H)."""
@@ -263,14 +248,12 @@ class DeltaStudent(Student):
         """Return all synapses."""
         policy = self.policy
         found = list(self._around_hidden()) if policy.hidden else []
-        if policy.deep:
-            found.append(SynapseGroup(policy.back, self.hidden_rate))
         past = SynapseGroup(policy.past, self._event_rate)
         return [*found, past] if policy.skip else found
 
     def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
         """Return the synapses onto and from the neurons of the layer, if it is one."""
-        return [self._around_hidden()] if self.policy.hidden and not self.policy.deep else []
+        return [self._around_hidden()] if self.policy.hidden else []
 
     def _around_hidden(self) -> tuple[SynapseGroup, SynapseGroup]:
         into = SynapseGroup(self.policy.into, self._event_rate)
@@ -286,16 +269,6 @@ class DeltaStudent(Student):
         """Restore what `tensors` returned."""
         self.hidden_rate = named["hidden_rate"]
         self.offsets, self.quanta = (with_prefix(n, named) for n in ("offsets", "quanta"))
-
-
-class DeltaMlpStudent(DeltaStudent):
-    """A DeltaMlpPolicy, whose thresholds follow its activations."""
-
-    policy: DeltaMlpPolicy
-
-    def set_thresholds(self, pool: WalkPool) -> None:
-        """Set the thresholds by the walks, which are encoded."""
-        self.policy.threshold.copy_(choose_thresholds(self.policy, pool, self._config))
 
 
 class MlpStudent(Student):
@@ -383,15 +356,13 @@ def _active(activations: Sequence[Tensor]) -> list[Tensor]:
 
 def student(policy: Policy, config: SparseConfig) -> Student:
     """Return the student for a policy."""
-    if isinstance(policy, DeltaMlpPolicy):
-        return DeltaMlpStudent(policy, config)
     if isinstance(policy, DeltaSnnPolicy):
         return DeltaStudent(policy, config)
     if isinstance(policy, PrunedMlpPolicy):
         return MlpStudent(policy, config)
     raise ConfigError(
         f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn, "
-        "delta-mlp or pruned-mlp"
+        "or pruned-mlp"
     )
 
 

@@ -184,8 +184,7 @@ class Windows:
     """Parts of walks, W of them with L control steps of T timesteps each.
 
     seen: (W, L T, obs) what synapses with a decaying current hold of the observation
-    moved: (W, L T, obs) the encoder's step times its signed events, as they arrive; (W, L T, 0)
-        where they are not asked for
+    moved: (W, L T, obs) the encoder's step times its signed events, as they arrive
     label: (W, L, act)
     begins: (W,) whether the episode begins after the burn-in
     """
@@ -232,7 +231,6 @@ class WalkPool:
         decay: float,
         delay: int = 0,
         timesteps: int = 1,
-        moves: bool = True,
     ) -> None:
         """Compute the events of all walks.
 
@@ -240,14 +238,13 @@ class WalkPool:
         decay: factor by which currents keep, in a control step, what events brought
         delay: timesteps from an event to its arrival
         timesteps: timesteps of a control step
-        moves: whether windows hold `moved`, and not only what is `seen`
         """
         rows = [np.asarray(each) for each in normalised]
         self._take_labels()
         self._events = None  # makes room
         steps, walks, width = self._length.max(), len(rows), encoder.observed
         seen = np.zeros((walks, steps * timesteps, width), np.float32)
-        moved = np.zeros((*seen.shape[:2], width if moves else 0), np.float32)
+        moved = np.zeros_like(seen)
         step = np.where(np.isfinite(encoder.step), encoder.step, 0.0)
         held, before = np.zeros((2, walks, width))
         levels = encoder.start(0)
@@ -259,8 +256,7 @@ class WalkPool:
                 arriving = (step * sent).astype(np.float32)
                 held = decay * held + arriving
                 seen[:, at : at + 1] = held[:, None]  # nothing behind the end
-                if moves:
-                    moved[:, at : at + 1] = arriving[:, None]
+                moved[:, at : at + 1] = arriving[:, None]
             sizes = np.abs(events[t < self._length])
             spikes += (sizes if encoder.code == "unary" else sizes > 0).sum((0, 1))
             distance += np.abs(now - before)[t < self._length].sum(0) if t else 0.0

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+import torch
 
 from lab.experiments import chips, policies
-from lab.experiments.policies import InEightBits, OnChip, play
+from lab.experiments.policies import InEightBits, OnChip, in_bits, play
 from spikedeploy import zoo
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.trainers.sparse.walks import Stateless
+from tests.delta_policies import pruned_mlp
 
 
 def test_episodes_side_by_side_earn_what_they_earn_alone():
@@ -83,3 +85,14 @@ def test_a_policy_whose_card_is_missing_or_of_another_is_trained_again(tmp_path,
     for digest in (zoo.sha256(file), "0" * 64):
         file.with_suffix(".json").write_text(f'{{"sha256": "{digest}"}}')
         assert chips.is_shipped(file) == (digest == zoo.sha256(file))
+
+
+def test_weights_in_few_bits_fill_their_range_and_zeros_cost_nothing():
+    policy = pruned_mlp(3, 1, hidden=(), left=1.0)
+    policy.matrices[0].weight.data = torch.tensor([[1.0, -0.5, 0.1]])
+    rounded = in_bits(policy, 2)  # -1, 0, 1
+    assert rounded.matrices[0]().tolist() == [[1.0, -0.0, 0.0]]
+    assert rounded.matrices[0].fan_out.tolist() == [1.0, 0.0, 0.0]
+    policy.matrices[0].weight.data = torch.tensor([[7.0, -3.4, 0.2]])
+    policy.matrices[0].mask.fill_(1.0)
+    assert in_bits(policy, 4).matrices[0]().tolist() == [[7.0, -3.0, 0.0]]

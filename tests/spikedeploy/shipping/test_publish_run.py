@@ -13,7 +13,6 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.shipping.export_run import export_run, kind_of, record_observations
 from spikedeploy.shipping.publish_run import publish_run
 from spikedeploy.trainers.config import (
-    DeltaMlpConfig,
     DeltaSnnConfig,
     MlpConfig,
     NetworkConfig,
@@ -149,15 +148,6 @@ def test_a_level_of_pruning_is_published_with_its_own_weights_and_steps(tmp_path
     assert "environment steps" not in page
     assert "- checkpoint: ops-9, the best of those pruned to 9 operations a control step" in page
     assert "- checkpoint: best\n" in best.with_suffix(".md").read_text()
-
-
-def test_a_delta_network_is_evaluated_on_the_chip_that_it_was_trained_for(tmp_path):
-    policy = DeltaMlpConfig(hidden=4)
-    run = sparse_run(tmp_path / "runs", "smoke-sparse-delta-mlp", policy, chip="loihi2")
-    file = publish_run(str(run), "graded", 1, tmp_path / "zoo", processes=1)[0]
-    card = json.loads(file.with_suffix(".json").read_text())
-    assert (file.suffix, card["kind"]) == (".nir", "snn")
-    assert [row["chip"] for row in card["evaluation"]] == ["float", "loihi2"]
 
 
 def test_a_file_of_another_checkpoint_lies_beside_that_of_the_best(tmp_path):

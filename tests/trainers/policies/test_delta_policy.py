@@ -2,12 +2,6 @@ import numpy as np
 import pytest
 import torch
 
-from spikedeploy.exporters.to_nir import to_nir
-from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.emulator.controllers import SpikingController
-from spikedeploy.runtime.errors import ConfigError, RuleError
-from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import DeltaSnnPolicy
 from spikedeploy.trainers.policies.delta_policy import (
@@ -16,7 +10,7 @@ from spikedeploy.trainers.policies.delta_policy import (
     event_channels,
     live_neurons,
 )
-from tests.delta_policies import arriving, delta_mlp, delta_policy, followed, thinned, walk
+from tests.delta_policies import arriving, delta_policy, followed, thinned, walk
 
 SHAPES = [
     {},
@@ -34,12 +28,9 @@ SHAPES = [
 ]
 
 
-@pytest.mark.parametrize("make", [delta_policy, delta_mlp])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_window_from_the_beginning_equals_single_steps(make, shape):
-    if make is delta_mlp and {"integrated", "timesteps"} & set(shape):
-        pytest.skip("delta networks have no readouts that decay, and one timestep a control step")
-    policy, burn_in = make(**shape).double(), 4
+def test_a_window_from_the_beginning_equals_single_steps(shape):
+    policy, burn_in = delta_policy(**shape).double(), 4
     mean, events, spikes = followed(policy, walk())
     moved, seen = arriving(policy, events)
     # the burn-in of a window that starts the episode holds nothing
@@ -50,7 +41,7 @@ def test_a_window_from_the_beginning_equals_single_steps(make, shape):
     np.testing.assert_allclose(found[0, burn_in:].numpy(), mean, atol=1e-12)
     sent = (np.abs(spikes) > 0).reshape(len(mean), policy.timesteps, -1).sum(1)
     np.testing.assert_array_equal(raster[0, burn_in:].numpy(), sent)
-    assert not policy.hidden or np.abs(spikes).max() > (make is delta_mlp)
+    assert not policy.hidden or np.abs(spikes).max() > 0
 
 
 def test_a_window_from_the_middle_forgets_how_it_began():
@@ -157,52 +148,3 @@ def test_a_policy_without_synapses_still_has_a_graph(hidden):
     artifact = delta_artifact(policy)
     assert artifact.graph.nodes["output"].output_type["output"].tolist() == [2]
     assert {"fc1", "lif1", "fc2"}.isdisjoint(artifact.graph.nodes)
-
-
-ORIGIN = Provenance("spikedeploy/Hexapod-v0", "hexapod-delta-mlp")
-
-
-def written(policy, tmp_path):
-    return to_nir(policy, ORIGIN, tmp_path / "policy.nir")
-
-
-def test_the_output_is_that_of_a_network_on_rounded_numbers():
-    policy = delta_mlp(left=1.0, clock="gated").double()
-    mean, events, graded = followed(policy, walk(100))
-    level = np.cumsum(events, 0) * policy.step.numpy()
-    hidden = np.maximum(level @ policy.into().numpy().T + policy.bias.numpy(), 0)
-    sent = np.cumsum(graded, 0) * policy.threshold.numpy()
-    # what was sent is less than a threshold away from the activation
-    assert (np.abs(sent - hidden) < policy.threshold.numpy() + 1e-12).all()
-    expected = sent @ policy.out().numpy().T + level @ policy.past().numpy().T
-    np.testing.assert_allclose(mean, expected + policy.action_bias.numpy(), atol=1e-12)
-
-
-def test_gradients_pass_the_rounding_as_if_it_were_none():
-    policy = delta_mlp(left=1.0, clock="gated").double()
-    seen = torch.randn(4, 9, 5, dtype=torch.float64, requires_grad=True)
-    begins = torch.zeros(4, dtype=torch.bool)
-    mean, messages = policy.unrolled(seen, seen, policy.weights(), 2, begins)
-    (found,) = torch.autograd.grad(mean.sum(), seen, retain_graph=True)
-    hidden = torch.relu(seen @ policy.into().T + policy.bias)
-    smooth = hidden @ policy.out().T + seen @ policy.past().T
-    (expected,) = torch.autograd.grad(smooth.sum(), seen)
-    torch.testing.assert_close(found, expected)
-    (cost,) = torch.autograd.grad(messages.sum(), seen)
-    assert cost.abs().sum() > 0
-
-
-def test_loihi2_acts_nearly_as_torch_does(tmp_path):
-    policy = delta_mlp(left=1.0)
-    controller = SpikingController(load(written(policy, tmp_path)), chip("loihi2"))
-    mean, _, _ = followed(policy.double(), walk(200))
-    actions = np.stack([controller.act(row) for row in walk(200)])
-    assert np.sqrt(np.mean((actions - np.tanh(mean)) ** 2)) < 0.05
-
-
-def test_loihi1_refuses_it_and_states_are_always_kept(tmp_path):
-    artifact = load(written(delta_mlp(), tmp_path))
-    with pytest.raises(RuleError, match="rule graded"):
-        SpikingController(artifact, chip("loihi1"))
-    with pytest.raises(ConfigError, match=r"delta-mlp.*keeps its states"):
-        to_nir(delta_mlp(), ORIGIN, tmp_path / "reset.nir", state="reset")

@@ -6,7 +6,6 @@ import torch
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import (
-    DeltaMlpConfig,
     DeltaSnnConfig,
     NetworkConfig,
     PopsanConfig,
@@ -24,9 +23,8 @@ from spikedeploy.trainers.policies.policy import (
     PrunedWeight,
     SynapseGroup,
     TorchNormaliser,
-    in_bits,
 )
-from tests.delta_policies import delta_mlp, delta_policy, pruned_mlp, walk
+from tests.delta_policies import delta_policy, pruned_mlp, walk
 
 SMALL = {"hidden": (16, 12), "populations": 4, "timesteps": 5}
 
@@ -94,7 +92,6 @@ def test_encoder_starts_as_in_the_paper(popsan):
         from_config(NetworkConfig(chip="odin", hidden=(8,), timesteps=4), 6, 3),
         delta_policy(6, 3),
         delta_policy(6, 3, integrated=True, clock="gated", code="unary"),
-        delta_mlp(6, 3, threshold=0.7),
         pruned_mlp(6, 3, skip=False),
     ],
     ids=lambda policy: policy.kind,
@@ -113,7 +110,6 @@ def test_a_policy_is_rebuilt_from_its_spec_and_weights(policy):
     [
         (PopsanConfig(hidden=(8,), populations=2), {"hidden": (8,), "populations": 2}),
         (DeltaSnnConfig(hidden=4, code="unary"), {"hidden": 4, "code": "unary"}),
-        (DeltaMlpConfig(hidden=4, threshold=0.3), {"hidden": 4, "share": 0.3}),
         (PrunedMlpConfig(hidden=(7,), skip=False), {"hidden": (7,), "skip": False}),
     ],
 )
@@ -179,14 +175,3 @@ def test_what_is_taken_out_counts_for_nothing_and_learns_nothing():
     assert weight.weight.grad.tolist() == [[1, 0, 1], [1, 1, 1]]
     # rates 0.5, 2 and 1 a control step
     assert SynapseGroup(weight, torch.tensor([0.5, 2.0, 1.0])).operations == 0.5 * 2 + 2 + 2
-
-
-def test_weights_in_few_bits_fill_their_range_and_zeros_cost_nothing():
-    policy = pruned_mlp(3, 1, hidden=(), left=1.0)
-    policy.matrices[0].weight.data = torch.tensor([[1.0, -0.5, 0.1]])
-    rounded = in_bits(policy, 2)  # -1, 0, 1
-    assert rounded.matrices[0]().tolist() == [[1.0, -0.0, 0.0]]
-    assert rounded.matrices[0].fan_out.tolist() == [1.0, 0.0, 0.0]
-    policy.matrices[0].weight.data = torch.tensor([[7.0, -3.4, 0.2]])
-    policy.matrices[0].mask.fill_(1.0)
-    assert in_bits(policy, 4).matrices[0]().tolist() == [[7.0, -3.0, 0.0]]

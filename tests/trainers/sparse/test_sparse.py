@@ -64,8 +64,7 @@ POLICIES = [
     {"kind": "delta-snn", "hidden": 5},
     {"kind": "delta-snn", "hidden": 0},
     {"kind": "pruned-mlp", "hidden": [6, 4]},
-    {"kind": "delta-mlp", "hidden": 5},
-    {"kind": "delta-snn", "hidden": 5, "deep": 2, "memoryless": True, "timesteps": 2},
+    {"kind": "delta-snn", "hidden": 5, "integrated": True, "timesteps": 2},
 ]
 
 
@@ -87,7 +86,7 @@ def test_operations_fall_to_the_budget(policy, stroll, tmp_path):
     assert best["eval_share"] == pytest.approx(earned / (best["teacher_return"] - none))
 
 
-@pytest.mark.parametrize(("policy", "stop"), list(zip(POLICIES, (12, 31, 31, 12, 31), strict=True)))
+@pytest.mark.parametrize(("policy", "stop"), list(zip(POLICIES, (12, 31, 31, 31), strict=True)))
 def test_a_stopped_run_resumes_to_the_same_bits(policy, stop, stroll, tmp_path):
     validation = {"every": 6, "episodes": 1}
     config = settings(teacher=stroll, policy=policy, validation=validation)
@@ -317,16 +316,3 @@ def test_a_search_refuses_a_teacher_that_earns_no_more_than_random_actions(
     monkeypatch.setattr("spikedeploy.trainers.sparse.sparse.random_actions", lambda *_: perfect)
     with pytest.raises(ConfigError, match=r"earns .*, and random actions .* other units"):
         learned(settings(teacher=stroll, **SEARCH), tmp_path, until=1)
-
-
-@pytest.mark.parametrize(
-    ("timesteps", "deep", "least"), [(1, 2, 2), (1, 0, 1), (2, 2, 1), (2, 0, 0), (4, 2, 0)]
-)
-def test_a_burn_in_that_leaves_the_pipeline_empty_is_refused(timesteps, deep, least):
-    policy = {
-        "kind": "delta-snn", "hidden": 5, "deep": deep, "memoryless": True, "timesteps": timesteps,
-    }  # fmt: skip
-    settings(policy=policy, burn_in=least)
-    if least:
-        with pytest.raises(ValueError, match=f"burn_in={least} at least"):
-            settings(policy=policy, burn_in=least - 1)

@@ -7,7 +7,6 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.config import DeltaSnnConfig
 from spikedeploy.trainers.policies import DeltaSnnPolicy, build
 from spikedeploy.trainers.policies.delta_policy import (
     channel_weights,
@@ -19,14 +18,12 @@ from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.sparse.delta_encoder import (
     binary_columns,
     choose_steps,
-    choose_thresholds,
 )
 from spikedeploy.trainers.sparse.pruning import clear_idle, operations, prune
 from spikedeploy.trainers.sparse.rounding import check_rounding, round_for_chip, rounding_offsets
 from spikedeploy.trainers.sparse.student import DeltaStudent, imitation, student
 from spikedeploy.trainers.sparse.walks import Walk, WalkPool
 from tests.delta_policies import (
-    delta_mlp,
     delta_policy,
     followed,
     pruned_mlp,
@@ -73,10 +70,10 @@ def test_rounded_weights_are_what_the_loss_sees_and_gradients_pass_through():
     assert policy.past.weight.grad.abs().sum() > 0
 
 
-@pytest.mark.parametrize(("make", "on"), [(delta_policy, "loihi1"), (delta_mlp, "loihi2")])
-def test_each_forward_pass_rounds_weights_as_the_chip_will(make, on):
+@pytest.mark.parametrize("on", ["loihi1", "loihi2"])
+def test_each_forward_pass_rounds_weights_as_the_chip_will(on):
     """Between two roundings by the chip weights move further than one step of its own."""
-    policy, target = make(left=1.0), chip(on)
+    policy, target = delta_policy(left=1.0), chip(on)
     found = student(policy, settings())
     found.round(target)
     with torch.no_grad():
@@ -92,7 +89,7 @@ def test_each_forward_pass_rounds_weights_as_the_chip_will(make, on):
         torch.testing.assert_close(held, now + offsets[name], atol=1e-5, rtol=0)
         torch.testing.assert_close(held, held.div(quantum).round() * quantum, atol=1e-5, rtol=0)
     assert torch.equal(found.acting().groups["out"](), weights.out)
-    again = student(make(left=1.0), settings())
+    again = student(delta_policy(left=1.0), settings())
     again.load(found.tensors())
     assert again.quanta.keys() == quanta.keys()
 
@@ -252,7 +249,7 @@ def test_unused_channels_of_two_valued_observations_do_not_set_the_scale():
     """A contact of weight 1, and an observation whose events weigh 0.1."""
 
     def error(**options):
-        policy = DeltaSnnPolicy(2, 1, **with_config(DeltaSnnConfig, hidden=1, most=3, **options))
+        policy = DeltaSnnPolicy(2, 1, **with_config(hidden=1, most=3, **options))
         policy.step.fill_(1.0)
         with torch.no_grad():
             policy.into.weight.copy_(torch.tensor([[1.0, 0.1033]]))
@@ -390,66 +387,6 @@ def test_values_that_the_sample_lacks_count(monkeypatch):
     assert binary_columns(seen).tolist() == [True]
     seen[1] = 0.5
     assert binary_columns(seen).tolist() == [False]
-
-
-NETWORK = {"policy": {"kind": "delta-mlp", "hidden": 5}, "chip": "loihi2"}
-
-
-def pool_of(walks, seed=0):
-    labels = np.random.default_rng(seed).uniform(-1, 1, (60, 2)).astype(np.float32)
-    pool = WalkPool()
-    pool.add(Walk(walk(60, seed=k).astype(np.float32), labels) for k in range(walks))
-    return pool
-
-
-def test_thresholds_are_shares_of_how_much_activations_vary():
-    policy = delta_mlp(left=1.0, threshold=0.4)
-    policy.into.mask[2], policy.bias[2] = 0.0, 0.5  # a constant
-    before = policy.threshold.clone()
-    config, pool = settings(**NETWORK), pool_of(8)
-    student(policy, config).prepare(pool)
-    found = choose_thresholds(policy, pool, config)
-    activations = []
-    for each in pool.walks:
-        _, events, _ = followed(policy, each.observation)
-        level = torch.from_numpy(np.cumsum(events, 0)) * policy.step
-        activations.append(torch.relu(level @ policy.into().T + policy.bias))
-    spread = torch.cat(activations).std(0)
-    alive = torch.arange(8) != 2
-    # of some windows, not of all walks
-    torch.testing.assert_close(found[alive], 0.4 * spread[alive], rtol=0.35, atol=0.01)
-    assert found[2] == before[2]
-
-
-def test_operations_of_messages_are_those_of_the_ledger():
-    policy = delta_mlp(left=0.8)
-    config, pool = settings(window=40, **NETWORK), pool_of(12)
-    learner = student(policy, config)
-    learner.prepare(pool)
-    rng = np.random.default_rng(0)
-    for _ in range(300):
-        learner.loss(pool, rng)
-    controller = SpikingController(delta_artifact(policy), chip("ideal"))
-    for each in pool.walks:
-        controller.reset(0)
-        for row in each.observation.astype(np.float64):
-            controller.act(row)
-    assert operations(learner.synapses()) == pytest.approx(
-        controller.ledger.per_inference("sop"), rel=0.1
-    )
-
-
-def test_offsets_bring_torch_to_the_weights_of_the_chip():
-    policy = delta_mlp(left=0.7)
-    offsets, _ = rounding_offsets(policy, chip("loihi2"))
-    program = compile_program(delta_artifact(policy), chip("loihi2"))
-    readout = program.layer("readout")
-    (onto,) = (s for s in readout.synapses if s.source == "sd1")
-    held = onto.weight * 64.0 * readout.scale  # of graded spikes [float units]
-    live = [k for k in range(8) if (policy.out() + offsets["out"])[:, k].any()]
-    found = ((policy.out() + offsets["out"]) * policy.threshold)[:, live].numpy()
-    np.testing.assert_allclose(found, held.T, atol=1e-6)
-    assert not offsets["out"][policy.out.mask == 0].any()
 
 
 def test_synapses_onto_a_neuron_that_nobody_reads_go():

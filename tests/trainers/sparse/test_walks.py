@@ -133,17 +133,6 @@ def test_rates_are_means_over_the_steps_of_walks(pool):
     np.testing.assert_allclose(pool.event_rate.numpy(), sum(events) / 71, rtol=1e-5)
 
 
-def test_windows_without_moves_hold_what_is_seen_alone(pool):
-    rows = [each.observation.astype(float) for each in pool.walks]
-    found = []
-    for moves in (True, False):
-        pool.encode(rows, ENCODER, DECAY, delay=1, timesteps=2, moves=moves)
-        found.append(pool.sample(np.random.default_rng(0), 5, 6, 2))
-    with_moves, without = found
-    assert torch.equal(with_moves.seen, without.seen)
-    assert without.moved.shape == (5, 12, 0)
-
-
 def test_states_are_drawn_with_their_labels_and_near_crashes(pool):
     rng = np.random.default_rng(0)
     observation, label = pool.states(rng, 300, 0.0, 5)

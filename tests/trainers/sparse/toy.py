@@ -28,6 +28,4 @@ def settings(recipe="stroll-sparse", **changes):
     """A configuration that trains in a second."""
     policy = {"kind": "delta-snn", "hidden": 5}
     fields = {"algorithm": "sparse", "recipe": recipe, "policy": policy, **_SMALL, **changes}
-    if fields["policy"]["kind"] == "delta-mlp":
-        fields["chip"] = "loihi2"  # has graded spikes
     return SparseConfig.model_validate(fields)
