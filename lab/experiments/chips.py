@@ -23,7 +23,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.files import as_text, replacing, write_text
 from spikedeploy.shipping.export_run import export_run
-from spikedeploy.shipping.publish_run import describe
+from spikedeploy.shipping.publish import describe
 
 CHIPS = ("xylo-a2", "speck2f", "odin", "tinyodin", "truenorth", "spiker", "spinnaker2", "loihi2")
 WANTED = 0.95  # of the teacher

@@ -446,7 +446,6 @@ def reproduce(
     ]
     | None = None,
     update: bool = False,
-    force: Force = False,
     workers: Workers | None = None,
     json: Json = False,
 ) -> None:
@@ -460,18 +459,15 @@ def reproduce(
     """
     from spikedeploy import zoo
     from spikedeploy.make_env import confirm
-    from spikedeploy.shipping import reproduce as again
-    from spikedeploy.shipping.cards import read_evaluation
+    from spikedeploy.shipping import reproduce as shipping
 
-    evaluations = [read_evaluation(name) for name in names or ()] or [
-        replace(read_evaluation(str(zoo.path(name))), name=name) for name in zoo.names()
-    ]
+    evaluations = [shipping.read_evaluation(name) for name in names or zoo.names()]
     for evaluation in evaluations:  # before hours of others
         confirm(evaluation.env, env, evaluation.name)
-        again.check_episodes(evaluation, episodes or 1)
+        shipping.check_episodes(evaluation, episodes or 1)
     found = []
     for evaluation in evaluations:
-        found.append(again.reproduce(evaluation, episodes, workers, update, force))
+        found.append(shipping.reproduce(evaluation, episodes, workers, update))
         if not json:
             typer.echo("\n".join(_lines(found[-1])))
     if json:
@@ -492,9 +488,4 @@ def _lines(found: "Reproduction") -> list[str]:
             for name, (then, now) in found.versions.items()
             if name in _PACKAGES or then != now
         ]
-    if found.not_compared:
-        lines.append(
-            f"    not compared: {len(found.not_compared)} fields that are of all {found.of} "
-            f"episodes: {', '.join(found.not_compared[:3])}… (--json names all)"
-        )
-    return lines + [f"    not recorded: {each}" for each in found.not_recorded]
+    return lines

@@ -131,7 +131,7 @@ def publish(
         output: folder of the zoo (default: the package's own)
     """
     from spikedeploy import zoo
-    from spikedeploy.shipping.publish_run import publish_run
+    from spikedeploy.shipping.publish import publish_run
 
     folder = output or zoo.FOLDER
     files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint, force)

@@ -11,8 +11,7 @@ verilog_folder  such a folder: written, read back, its simulation built
 hardware_run    episodes that a core in simulation drives, beside the emulated chip
 export_file     a network as NIR for another tool, one step in ONNX, a Xylo's specification
 export_program  a policy as the kit of a chip: its integers, what is expected, a script
-publish_run     an exported policy in the zoo, with its card, learning curve and evaluation
-cards           evaluations that cards and reports record; the page of a card, from templates/
-reproduce       an evaluation made again, number by number
+publish         a run as a shipped policy, with its card, from templates/
+reproduce       a recorded evaluation played again, number by number
 demo_reports    pages of the shipped policies on two tasks, and an index
 """

@@ -13,7 +13,7 @@ import typer
 from spikedeploy import cli, envs
 from spikedeploy.commands.options import one_word
 from spikedeploy.runtime.chips.chip import split_names
-from spikedeploy.shipping.cards import read_evaluation
+from spikedeploy.shipping.reproduce import read_evaluation
 from tests.paths import ROOT
 
 RESULTS = ROOT / "results"

@@ -24,7 +24,7 @@ from spikedeploy.runtime.compiler.compile import check
 from spikedeploy.runtime.errors import ConventionError, EnvError, SpikedeployError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.runtime.traces.verify import verify
-from spikedeploy.shipping.cards import read_evaluation
+from spikedeploy.shipping.reproduce import read_evaluation
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.run_folder import RunFolder

@@ -18,7 +18,7 @@ from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.shipping.export_run import _same_training, export_run
-from spikedeploy.shipping.publish_run import publish_run
+from spikedeploy.shipping.publish import publish_run
 from tests.networks import ORIGIN, popsan
 from tests.paths import ROOT
 

@@ -9,7 +9,7 @@ import pytest
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.lineup import line_up
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.shipping.cards import markdown
+from spikedeploy.shipping.publish import page
 
 SHIPPED = zoo.policies()
 
@@ -51,7 +51,7 @@ def test_it_has_a_card_a_page_and_a_curve(path):
     assert card["evaluation"]  # on seeds that training never saw
     assert all(row["episodes"] >= 20 for row in card["evaluation"])
     assert all(check["passed"] for check in card["parity"])
-    assert path.with_suffix(".md").read_text("utf-8") == markdown(path.stem, card)
+    assert path.with_suffix(".md").read_text("utf-8") == page(path.stem, card)
     assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     assert path.with_suffix(".csv").stat().st_size > 100
     assert zoo.name_in_reports(str(path)) == "/".join(path.parts[-2:])  # no folder of the machine

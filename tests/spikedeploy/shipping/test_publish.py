@@ -10,8 +10,10 @@ from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime import load
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
-from spikedeploy.shipping.export_run import export_run, kind_of, record_observations
-from spikedeploy.shipping.publish_run import publish_run
+from spikedeploy.shipping import export_run as export_run_module
+from spikedeploy.shipping.export_run import export_run, kind_of
+from spikedeploy.shipping.export_run import record_observations as observe
+from spikedeploy.shipping.publish import publish_run
 from spikedeploy.trainers.config import (
     DeltaSnnConfig,
     MlpConfig,
@@ -32,6 +34,14 @@ SPIKING = PopsanConfig(hidden=(6,), populations=3)
 @pytest.fixture(autouse=True)
 def _stroll(monkeypatch):
     toy_stroll_env.install(monkeypatch)
+
+
+@pytest.fixture(autouse=True)
+def _few_observations(monkeypatch):
+    """Parity on thirty observations."""
+    monkeypatch.setattr(
+        export_run_module, "record_observations", lambda run, _, name: observe(run, 30, name)
+    )
 
 
 def publish(run, name, folder, **options):
@@ -103,7 +113,7 @@ def test_what_is_linear_or_pruned_is_a_control():
 
 def test_parity_is_checked_on_observations_of_the_policys_own_episodes(tmp_path):
     run = toy_stroll_env.run_folder(tmp_path, SPIKING)
-    observations = record_observations(run, 45)  # more than two episodes of 21
+    observations = observe(run, 45)  # more than two episodes of 21
     assert observations.shape == (45, 3)
     assert len({tuple(row) for row in observations}) == 45
 
