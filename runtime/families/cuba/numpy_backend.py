@@ -6,10 +6,10 @@ checked in every timestep: either the bounds prove that no number can be too lar
 spikes cannot make one, or the states are looked at afterwards. A window that did overflow, which is
 rare, is computed once more by the interpreter.
 
-Spikes become sums of weights by a product of all axons, or of those alone that spike, of which a
-fixed rule on their density chooses. Both sum whole numbers that their number type is proven to hold
-exactly, so they agree bit for bit, in any order of summation and on any BLAS. (`ideal` has no whole
-numbers and always multiplies in float64, timesteps and batch in one matrix.)
+Spikes become sums of weights by a product of all axons, by one of those alone that spike, or row by
+row, of which a fixed rule on their density chooses. All sum whole numbers that their number type is
+proven to hold exactly, so they agree bit for bit, in any order of summation and on any BLAS.
+(`ideal` has no whole numbers and always multiplies in float64, timesteps and batch in one matrix.)
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -76,11 +76,14 @@ class Raster:
 _EXACT_FLOAT32 = 1 << 24
 EXACT_INT16 = (1 << 15) - 1
 
-# the rule, from measurements: at batch 1, matrices of at least so many
-# weights are multiplied by the axons alone that spike in the window, while those are no larger a
-# part of all
+# the rule, from measurements: at batch 1, matrices of at least so many weights are multiplied by
+# the axons alone that spike in the window, while those are no larger a part of all
 SPARSE_WEIGHTS = 1 << 15
 SPARSE_SHARE = 0.4
+# else rows are added one by one, in matrices of at least so many weights, while an axon that spikes
+# does so no more often in the mean
+LARGE_WEIGHTS = 1 << 17
+FEW_SPIKES = 2.5
 
 
 class Summation:
@@ -119,10 +122,14 @@ class Summation:
 
     def __call__(self, raster: Raster) -> None:
         """Write the sums, by the way that the density of the spikes makes fastest."""
-        if self.is_dense or len(raster.axons()) > SPARSE_SHARE * len(self.weight):
+        if self.is_dense:
             self.multiply(raster)
-        else:
+        elif (active := len(raster.axons())) <= SPARSE_SHARE * len(self.weight):
             self.multiply_active(raster)
+        elif self.weight.size >= LARGE_WEIGHTS and raster.spikes() <= FEW_SPIKES * active:
+            self.add_rows(raster)
+        else:
+            self.multiply(raster)
 
     def multiply(self, raster: Raster) -> None:
         """Multiply all axons by all weights: one matrix product for the window."""
@@ -140,6 +147,14 @@ class Summation:
         # "clip" never has anything to clip here, and needs no second buffer
         weight = self.weight.take(axons, 0, self._fetched[: len(axons)], "clip")
         spikes.dot(weight, self._sums)
+        self._finish()
+
+    def add_rows(self, raster: Raster) -> None:
+        """Add the weights of axons that spiked, timestep by timestep; batch 1."""
+        for spikes, sums in zip(raster.bits.squeeze(1), self._sums, strict=True):
+            axons = spikes.nonzero()[0]
+            weight = self.weight.take(axons, 0, self._fetched[: len(axons)], "clip")
+            np.add.reduce(weight, 0, None, sums)
         self._finish()
 
     def _finish(self) -> None:

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from spikedeploy.runtime.emulator.backend import LINE, aligned_zeros
 from spikedeploy.runtime.families.cuba.numpy_backend import (
+    FEW_SPIKES,
+    LARGE_WEIGHTS,
     SPARSE_SHARE,
     SPARSE_WEIGHTS,
     Raster,
@@ -23,14 +25,14 @@ def summation(weight, bias, partial, out):
 @settings(max_examples=60)
 @given(
     st.integers(0, 2**32 - 1),
-    st.sampled_from([1, 20, SPARSE_WEIGHTS // NEURONS + 1]),
+    st.sampled_from([1, 20, SPARSE_WEIGHTS // NEURONS + 1, LARGE_WEIGHTS // NEURONS + 1]),
     st.sampled_from([1, 5]),
     st.sampled_from([1, 3]),
     st.sampled_from([0.0, 0.02, 0.5, 1.0]),
     st.sampled_from([np.bool_, np.uint8]),
     st.booleans(),
 )
-def test_both_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtype, biased):
+def test_all_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtype, biased):
     rng = np.random.default_rng(seed)
     weight = rng.integers(-255, 256, (axons, NEURONS)).astype(np.int16)
     rows = (rng.random((timesteps, batch, axons)) < rate).astype(dtype)
@@ -38,7 +40,10 @@ def test_both_ways_give_the_exact_sums(seed, axons, timesteps, batch, rate, dtyp
     expected = 64 * (rows.astype(np.int64) @ weight.astype(np.int64) + bias)
     out = np.empty((timesteps, batch, NEURONS))
     sums = summation(weight, bias, 255 * (axons + 1), out)
-    for way in (sums, sums.multiply, *[sums.multiply_active] * (batch == 1)):
+    ways = [sums, sums.multiply]
+    if batch == 1:
+        ways += [sums.multiply_active, sums.add_rows]
+    for way in ways:
         # the second time in the same memory
         for spikes, wanted in ((rows, expected), (rows[::-1], expected[::-1])):
             out.fill(np.nan)
@@ -54,20 +59,29 @@ def test_number_types_are_as_small_as_the_bounds_allow(partial, dtype):
     assert summation(weight, bias, partial, np.empty((5, 1, 8))).weight.dtype == dtype
 
 
+SMALL, LARGE = SPARSE_WEIGHTS // 64, LARGE_WEIGHTS // 64
+
+
 @pytest.mark.parametrize(
-    ("axons", "batch", "active", "way"),
+    ("axons", "batch", "active", "timesteps", "way"),
     [
-        (SPARSE_WEIGHTS // 64, 1, SPARSE_SHARE, "multiply_active"),
-        (SPARSE_WEIGHTS // 64, 1, SPARSE_SHARE + 0.01, "multiply"),
-        (SPARSE_WEIGHTS // 64, 2, SPARSE_SHARE, "multiply"),
-        (SPARSE_WEIGHTS // 64 - 1, 1, SPARSE_SHARE, "multiply"),
+        (SMALL, 1, SPARSE_SHARE, 5, "multiply_active"),
+        (SMALL, 1, SPARSE_SHARE + 0.01, 1, "multiply"),
+        (SMALL, 2, SPARSE_SHARE, 5, "multiply"),
+        (SMALL - 1, 1, SPARSE_SHARE, 5, "multiply"),
+        (LARGE, 1, SPARSE_SHARE, 5, "multiply_active"),
+        (LARGE, 1, SPARSE_SHARE + 0.01, int(FEW_SPIKES), "add_rows"),
+        (LARGE, 1, SPARSE_SHARE + 0.01, int(FEW_SPIKES) + 1, "multiply"),
+        (LARGE, 2, SPARSE_SHARE + 0.01, int(FEW_SPIKES), "multiply"),
     ],
 )
-def test_the_size_the_batch_and_the_density_decide(axons, batch, active, way, monkeypatch):
+def test_the_size_the_batch_and_the_density_decide(
+    axons, batch, active, timesteps, way, monkeypatch
+):
     rows = np.zeros((5, batch, axons), np.bool_)
-    rows[:, :, : int(active * axons)] = True
+    rows[:timesteps, :, : int(active * axons)] = True
     taken = []
-    for name in ("multiply", "multiply_active"):
+    for name in ("multiply", "multiply_active", "add_rows"):
         monkeypatch.setattr(Summation, name, lambda self, *_, name=name: taken.append(name))
     weight, bias = np.ones((axons, 64), np.int16), np.zeros(64, np.int64)
     summation(weight, bias, axons, np.empty((5, batch, 64)))(Raster(rows))
