@@ -17,7 +17,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple, TypeAlias
 
 import nir
@@ -140,7 +140,7 @@ def _synapses(
     weights: "_Weights", block: Block, name: str, inputs: Sequence[Port]
 ) -> tuple[Synapses, ...]:
     """The synapses onto a layer by source and lag; those of several Inputs as one matrix."""
-    ends = np.cumsum([port.size for port in inputs]).tolist()
+    ends = [*accumulate(port.size for port in inputs)]
     rows = {port.name: slice(end - port.size, end) for port, end in zip(inputs, ends, strict=True)}
     found: list[Synapses] = []
     joined: dict[int, Floats] = {}
@@ -203,7 +203,7 @@ class _Weights:
         if (
             first.way is not None
             and not others
-            and not any(np.ptp(delays.get(name, 0)) for name in first.way)
+            and not any(np.ptp(delays[name]) for name in first.way if name in delays)
         ):
             shape = shape_of(self.graph.nodes[source])
             if found := weights_of([(n, self.graph.nodes[n]) for n in first.way], shape):
@@ -217,8 +217,9 @@ class _Weights:
 
     def lag(self, way: Sequence[str]) -> int:
         """[timesteps] that a way takes, its ends included, on which Delays are uniform."""
-        steps = (int(np.max(self._timing.delays.get(name, 0))) for name in way)
-        return sum(edge in self._timing.late for edge in pairwise(way)) + sum(steps)
+        late, delays = self._timing.late, self._timing.delays
+        steps = (int(delays[name].max()) for name in way if name in delays)
+        return sum(edge in late for edge in pairwise(way)) + sum(steps)
 
     def _matrices(self, source: str, block: Block) -> dict[int, Floats]:
         """(M, N) from a source to the target of a block, by the timesteps that it takes."""
@@ -238,6 +239,9 @@ class _Weights:
 
     def bias(self, block: Block) -> Floats:
         """(N,) that arrives at the target in every timestep."""
+        size = self._size(block.target)
+        if not any(isinstance(self.graph.nodes[name], BIASED) for name in block.names):
+            return np.zeros(size)
         parts = self._respond(block, {}, biased=True)
         for lag, rows in parts.items():
             if lag and rows.any():
@@ -246,8 +250,7 @@ class _Weights:
                     f"{lag} timesteps, so that it would begin late, which no chip does. Put the "
                     "bias behind the delay."
                 )
-        nothing = np.zeros((1, self._size(block.target)))
-        return np.asarray(parts.get(0, nothing).reshape(-1))
+        return np.asarray(parts.get(0, np.zeros(size)).reshape(-1))
 
     def _check_size(self, target: str, size: int) -> None:
         """Refuse more bytes of weights onto a target than the limit."""
