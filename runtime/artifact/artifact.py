@@ -61,7 +61,8 @@ class Artifact:
     """A network and everything that NIR leaves open; ArtifactError where they are inconsistent.
 
     graph: standard NIR nodes; nested graphs are flattened. results/interop.md lists the tools that
-        compute the same from them.
+        compute the same from them. Neurons, order and delays are derived from it once: after a
+        change in place, only `dataclasses.replace(artifact)` derives them again.
     codec: observation to spikes and output to action; None in files of other tools.
     convention: how the graph is discretised; inferred or given for files of other tools.
     provenance: where the policy comes from; None in files of other tools.
