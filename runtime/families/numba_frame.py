@@ -338,6 +338,15 @@ def arrivals(constants: Array, memory: Array, wire: Array, row: int) -> tuple[Ar
 
 
 @jit
+def count_active(membranes: Array, currents: Array, biases: Array) -> Number:
+    """How many neurons had something to add up: a membrane before, a current now, or a bias."""
+    active = 0
+    for n in range(len(biases)):
+        active += (membranes[n] != 0) | (currents[n] != 0) | (biases[n] != 0)
+    return active
+
+
+@jit
 def has_bias(about: Array, row: int, timesteps: int) -> Number:
     """Return True for the rows in which a layer's bias axon spikes."""
     return about[HEAD] <= row < timesteps - about[TAIL]

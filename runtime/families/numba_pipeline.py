@@ -30,6 +30,8 @@ from spikedeploy.runtime.families.numba_frame import Constants, Kernel, Memory
 Numbers = NDArray[Any]
 Delays = tuple[tuple[int, ...], ...]
 
+EXACT_INT16 = (1 << 15) - 1  # largest whole number that 16 bits hold
+
 
 class FamilyNumbers(NamedTuple):
     """The part of a program's Constants that is a family's own.

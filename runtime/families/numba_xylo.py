@@ -15,6 +15,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.families import numba_frame as frame
 from spikedeploy.runtime.families.numba_frame import Array, Number
 from spikedeploy.runtime.families.numba_pipeline import (
+    EXACT_INT16,
     FamilyNumbers,
     NumbaPipeline,
     largest_weight,
@@ -30,7 +31,6 @@ LOWEST, HIGHEST, TURNED, LARGEST = range(1, 5)
 CURRENT_DASH, MEMBRANE_DASH, THRESHOLD, BIAS = range(4)
 
 _WIDEST = 28  # bits of a state, of which int32 holds sums of a few
-_SMALL = (1 << 15) - 1  # largest weight that 16 bits hold
 
 
 @frame.jit
@@ -61,11 +61,9 @@ def _step(
         times = min(membrane[n] // numbers[THRESHOLD, n], about[SPIKES_MAX])
         membrane[n] -= times * numbers[THRESHOLD, n]
         spikes[n] = times
-    active = 0
-    if call.counting:
-        for n in range(size):
-            active += (before[size + n] != 0) | (current[n] != 0) | (numbers[BIAS, n] != 0)
-    return lost, active
+    if not call.counting:
+        return lost, 0
+    return lost, frame.count_active(before[size:], current, numbers[BIAS])
 
 
 @frame.jit
@@ -179,7 +177,7 @@ class XyloPipeline(NumbaPipeline):
         ]
         return FamilyNumbers(
             columns=[(each,) for each in most],
-            weights=np.int16 if largest <= _SMALL else np.int64,
+            weights=np.int16 if largest <= EXACT_INT16 else np.int64,
             states=np.int32,
             sums=(np.int32, np.int32),
             rules=[low, high, turned, largest],

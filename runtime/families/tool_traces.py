@@ -110,6 +110,7 @@ class _Weights:
 
 
 def _read_weights(spec: Fields, arithmetic: CubaFixedPoint, fan_in: int) -> _Weights:
+    spec.refuse_axes("index", r"^\[pre\]")
     lists = [name for name in ("weights_exc", "weights_inh") if name in spec]
     if lists:
         tables = [_matrix(spec, name, fan_in) for name in lists]
@@ -340,6 +341,7 @@ def _same(specs: list[Fields], name: str, default: int, most: int) -> int:
 def _spiker_synapses(
     spec: Fields, name: str, rules: IntegrateAndFire, source: str, fan_in: int
 ) -> list[Synapses]:
+    spec.refuse_axes("index", r"^\[post\]")
     low, high = rules.weight_range
     weights = spec.array("weights", axes=2, least=low, most=high)
     if weights.ndim != 2 or len(weights) != fan_in or weights.shape[1] > _MOST_NEURONS:

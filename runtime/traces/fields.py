@@ -4,6 +4,7 @@
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -200,8 +201,15 @@ class Fields:
             raise self.wrong(name, f"has {found.size} values", f"Write one, or {size}.")
         return np.full(size, found, np.int64)
 
+    def refuse_axes(self, name: str, other: str) -> None:
+        """Refuse a text on the order of axes, called `name`, that has the other order (a regex)."""
+        if re.search(other, found := self.text(name).strip()):
+            raise self.wrong(name, f"is {found[:40]!r}", "Write them in the other order.")
+
     def table(self, name: str, *, least: int, most: int) -> Integers:
         """Return (T, N) whole numbers; a list of numbers is that of a single neuron."""
+        for index in ("trace_index", f"{name}_index"):
+            self.refuse_axes(index, r"\]\[t\]$")
         found = self.array(name, axes=2, least=least, most=most)
         if found.ndim == 0:
             raise self.wrong(name, "is a single number", "Write a row for each timestep.")

@@ -51,12 +51,9 @@ def _step(
     _integrate(numbers, before[size:], current, membrane)
     _fire(numbers[THRESHOLD], constants.rules[SUBTRACT], membrane, spikes)
     frame.list_spikes(constants.sources[layer + 1], memory, row)
-    active = 0
-    if call.counting:
-        for n in range(size):
-            bias = numbers[VOLTAGE_BIAS, n]
-            active += (before[size + n] != 0) | (current[n] != 0) | (bias != 0)
-    return 0, active
+    if not call.counting:
+        return 0, 0
+    return 0, frame.count_active(before[size:], current, numbers[VOLTAGE_BIAS])
 
 
 @frame.jit

@@ -15,10 +15,10 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import aligned_copy
 from spikedeploy.runtime.families import numba_frame as frame
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
-from spikedeploy.runtime.families.cuba.numpy_backend import EXACT_INT16
 from spikedeploy.runtime.families.cuba.quantise import bounds, register_limit
 from spikedeploy.runtime.families.numba_frame import Array, Number
 from spikedeploy.runtime.families.numba_pipeline import (
+    EXACT_INT16,
     FamilyNumbers,
     NumbaPipeline,
     largest_weight,
@@ -73,13 +73,11 @@ def _step(
     else:
         lost = _advance(constants, memory, memory.wide, call, layer, row, before, after, spikes)
     frame.list_spikes(constants.sources[layer + 1], memory, row)
-    active = 0
-    if call.counting:
-        size, first = constants.layers[layer, frame.SIZE], constants.layers[layer, frame.NEURON]
-        bias = constants.floats[VOLTAGE_BIAS, first : first + size]
-        for n in range(size):
-            active += (before[size + n] != 0.0) | (after[n] != 0.0) | (bias[n] != 0.0)
-    return lost, active
+    if not call.counting:
+        return lost, 0
+    size, first = constants.layers[layer, frame.SIZE], constants.layers[layer, frame.NEURON]
+    bias = constants.floats[VOLTAGE_BIAS, first : first + size]
+    return lost, frame.count_active(before[size:], after[:size], bias)
 
 
 @frame.jit

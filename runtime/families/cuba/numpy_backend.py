@@ -72,9 +72,8 @@ class Raster:
         return self._axons
 
 
-# largest magnitudes up to which every whole number is held
+# largest magnitude up to which every whole number is held
 _EXACT_FLOAT32 = 1 << 24
-EXACT_INT16 = (1 << 15) - 1
 
 # the rule, from measurements: at batch 1, matrices of at least so many weights are multiplied by
 # the axons alone that spike in the window, while those are no larger a part of all

@@ -138,6 +138,7 @@ def _read_crossbar(
 
 def _read_weights(spec: Fields, name: str, rules: IntegrateAndFireRules) -> Integers:
     """(M, N)."""
+    spec.refuse_axes("index", r"^\[post\]")
     low, high = rules.weight_range
     found = spec.array(name, axes=2, least=low, most=high)
     if found.ndim < 2:

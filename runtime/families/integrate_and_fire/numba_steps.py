@@ -23,6 +23,7 @@ from spikedeploy.runtime.families.integrate_and_fire.neurons import (
 from spikedeploy.runtime.families.integrate_and_fire.numba_events import edges
 from spikedeploy.runtime.families.numba_frame import Array, Number
 from spikedeploy.runtime.families.numba_pipeline import (
+    EXACT_INT16,
     FamilyNumbers,
     NumbaPipeline,
     largest_weight,
@@ -44,7 +45,6 @@ NONE, LINEAR, CROSSING, SHIFT = LEAKS.values()
 OVERFLOWS = {"none": 0, "clip": 1, "saturate": 2, "wrap": 3, "wrap-once": 4}
 WRAP, WRAP_ONCE = OVERFLOWS["wrap"], OVERFLOWS["wrap-once"]
 
-_EXACT_INT16 = (1 << 15) - 1
 _NARROW_BITS = 31  # of a membrane that int32 holds, with what the host may read of it
 
 
@@ -435,7 +435,7 @@ class IntegrateAndFirePipeline(NumbaPipeline):
                 (bool((a.bias + a.voltage_bias).any()), bool(a.voltage_bias.any()), _alike(each))
                 for a, each in zip(layers, numbers, strict=True)
             ],
-            weights=np.int16 if largest_weight(layers) <= _EXACT_INT16 else np.int64,
+            weights=np.int16 if largest_weight(layers) <= EXACT_INT16 else np.int64,
             states=neurons.dtype,
             sums=(neurons.dtype, neurons.dtype),
             rules=[

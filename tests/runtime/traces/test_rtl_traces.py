@@ -225,6 +225,7 @@ BROKEN = [
     (broken(weights=[[8] * 10] * 8), "weights holds 8. It must be within -7 and 7"),
     (broken(weights=[[1] * 10] * 7), "weights has 7 rows. Write 8"),
     (broken(weights=[1] * 10), "weights has shape"),
+    (broken(index="[post][pre]"), "index is '.post..pre.'"),
     (broken(weights_rec=[[1] * 9] * 9), "Write up to 256 and a square"),
     (broken(input_spikes=[[-1] * 8]), "input_spikes holds -1"),
     (broken(input_spikes=[[0] * 257] * 3), "has 257 axons"),

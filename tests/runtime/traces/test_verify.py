@@ -227,6 +227,9 @@ def top(key, value):
         (broken("delays", [[1, 2]]), "delays has shape"),
         (broken("delays", [[64] * 12] * 4), "delays holds 64"),
         (broken("weights_input", [[1] * 12] * 4), "weights_input has shape"),
+        (broken("index", "[pre][post]"), "index is '.pre..post.'"),
+        (top("trace_index", "[neuron][t]"), "trace_index is '.neuron..t.'"),
+        (top("input_spikes_index", "[pre][t]"), "input_spikes_index is '.pre..t.'"),
     ],
 )
 def test_a_broken_file_is_told_what_is_wrong(change, message, lava, file):
