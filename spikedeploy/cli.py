@@ -15,7 +15,7 @@ from typer.models import CommandInfo
 from spikedeploy.commands.options import as_command, one_word
 from spikedeploy.console import discard_output, name_program, prepare_streams
 from spikedeploy.runtime.requirements import check_requirements
-from spikedeploy.user_errors import exit_code, one_line
+from spikedeploy.user_errors import BAD_INPUT, exit_code, one_line
 
 # panel of the help -> command -> its module in spikedeploy/commands
 COMMANDS = {
@@ -90,8 +90,11 @@ class Commands(typer.core.TyperGroup):
         self.commands = LazyCommands()  # type: ignore[assignment]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
-        """Take no words for --help."""
-        found: list[str] = super().parse_args(ctx, args or ["--help"])
+        """Print the help where no command is given, which is bad input."""
+        if not args:
+            typer.echo(ctx.get_help())
+            ctx.exit(BAD_INPUT)
+        found: list[str] = super().parse_args(ctx, args)
         return found
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
@@ -99,6 +99,10 @@ class OnChip:
     headroom: Headroom = "none"
     thresholds: Count | None = None
     weight_shift: Natural = 0
+
+    def __post_init__(self) -> None:
+        if self.limits not in get_args(Switch):  # such as True, which would be no "on"
+            raise ConfigError(f"limits {self.limits!r} is unknown. Choose 'on' or 'off'.")
 
     @property
     def quantisation(self) -> "Quantisation":

@@ -246,8 +246,13 @@ def read_onnx(path: Path) -> FloatMlp:
         raise ArtifactError(
             f"{path} lacks a constant that its graph names. Export it again"
         ) from error
-    if low != -high or not all(np.isfinite(weight).all() for weight in weights):
-        raise ConfigError(f"--to c: {path.name} clips unevenly, or has weights that are no numbers")
+    sizes = [(weight.shape[1], bias.size) for weight, bias in zip(weights, biases, strict=True)]
+    finite = all(np.isfinite(each).all() for each in (*weights, *biases))
+    if low != -high or not finite or any(outputs != size for outputs, size in sizes):
+        raise ConfigError(
+            f"--to c: {path.name} clips unevenly, or has weights or biases that are no numbers, or "
+            "biases of another size"
+        )
     chooses = said.get("head") == "discrete" or model.graph.output[0].name == "logits"
     activations = tuple(_ACTIVATIONS[kind] for kind in kinds[4::2])
     return FloatMlp(Normaliser(mean, std, high), weights, biases, activations, chooses)

@@ -12,7 +12,7 @@ from spikedeploy.console import print_json, print_result, say
 from spikedeploy.runtime.choices import Clock, Granularity, Reset, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
-from spikedeploy.setup import Count
+from spikedeploy.setup import Count, changed
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,7 @@ class FormatOptions:
     def arguments(self) -> dict[str, Any]:
         """The options that were given, as `shipping.export` takes them."""
         names = {"for_": "tool", "from_": "written_by"}
-        given = {name: value for name, value in vars(self).items() if value is not None}
-        return {names.get(name, name): value for name, value in given.items()}
+        return {names.get(name, name): value for name, value in changed(self).items()}
 
 
 def export(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.emulation.event_files import Recording
 from spikedeploy.emulation.event_input import EventView, Survey, TimeSteps, count_rows
-from spikedeploy.emulation.raster_emulation import SILENT, several_remark
+from spikedeploy.emulation.raster_emulation import SILENT, TOTALS, several_remark, totals
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
@@ -121,16 +121,6 @@ class EventRun:
         """All numbers as plain data; those of a second are of a second of the recording."""
         ledger, seconds = self.ledger, self.seconds
         sops = ledger.by_layer("sop") if ledger else {}
-        totals = {
-            name: ledger.total(event) if ledger else None
-            for name, event in {
-                "sops": "sop",
-                "bias_sops": "bias_sop",
-                "neuron_updates": "neuron_update",
-                "saturations": "saturation",
-                "lost_spikes": "lost_spike",
-            }.items()
-        }
         on = chip_or_float(self.chip)
         power = next(iter(STATIC.get(on.name, ()) if on else ()), None)
         energies = {name: each.value for name, each in self.energies.items()}
@@ -149,7 +139,7 @@ class EventRun:
             "convention": self.artifact.convention.to_record(),
             "clock": self.clock or None,
             "spikes": sum(self.spikes.values()),
-            **totals,
+            **totals(ledger, {**TOTALS, "lost_spikes": "lost_spike"}),
             "energy_j": energies,
             "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
             "power_w": {name: value / seconds for name, value in energies.items()},

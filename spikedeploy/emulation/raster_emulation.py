@@ -46,6 +46,20 @@ SILENT = (
 )
 
 
+# key of a record -> event
+TOTALS = {
+    "sops": "sop",
+    "bias_sops": "bias_sop",
+    "neuron_updates": "neuron_update",
+    "saturations": "saturation",
+}
+
+
+def totals(ledger: Ledger | None, events: Mapping[str, str]) -> dict[str, int | None]:
+    """Key -> total of an event; None where events are not counted."""
+    return {key: ledger.total(event) if ledger else None for key, event in events.items()}
+
+
 def several_remark(several: Mapping[str, int], artifact: Artifact, chip: str) -> list[str]:
     """A remark on neurons that sent several spikes in a timestep, where the file's send one.
 
@@ -209,22 +223,13 @@ class Emulation:
             name: {"neurons": neurons[name], "sops": sops[name], "messages": messages[name]}
             for name in (ledger.readouts if ledger else ())
         }
-        totals = {
-            name: ledger.total(event) if ledger else None
-            for name, event in {
-                "sops": "sop",
-                "bias_sops": "bias_sop",
-                "neuron_updates": "neuron_update",
-                "saturations": "saturation",
-            }.items()
-        }
         return {
             "chip": self.chip,
             "timesteps": self.timesteps,
             "convention": self.artifact.convention.to_record(),
             "clock": self.clock or None,
             "spikes": sum(each["spikes"] for each in layers.values()),
-            **totals,
+            **totals(ledger, TOTALS),
             "energy_j": {name: each.value for name, each in self.energies.items()},
             "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
             **(self.measures.as_json() if self.measures else {"neurobench": None}),

@@ -132,6 +132,8 @@ class TeacherController(Player):
     @classmethod
     def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
         """The teacher; functions are imported now."""
+        if setup.sampled:
+            raise ConfigError("a teacher gives its best action: leave --sampled out")
         import torch
 
         from spikedeploy.trainers.distill.teacher import OwnSpaces

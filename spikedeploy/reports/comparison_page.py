@@ -47,7 +47,7 @@ FILES = ("report.html", "report.json", "report.md", "returns.png", "energy.png")
 
 def document(comparison: Comparison) -> dict[str, Any]:
     """The report as plain data; one of its `rows` for each policy and chip."""
-    rows, setup = comparison.as_json(), comparison.setup.as_json()
+    rows = comparison.as_json()
     played = [row.entry.candidate for row in comparison.rows]
     teachers = [each.path for each in played if each.format in ("teacher", "function")]
     return {
@@ -67,7 +67,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
         "energy_tables": _energy_tables(rows),
         "sha256": zoo.hashes(row["file"] for row in rows),
         "rows": rows,
-        **({"setup": setup} if setup else {}),
+        "setup": comparison.setup.as_json(),
         **({"teachers": teachers} if teachers else {}),
     }
 

@@ -77,7 +77,9 @@ def export_c(
     software = replace(on, clocks=CLOCKS)
     program = compile_program(source.artifact, software, source.quantisation, clock)
     # the episode is the chip's, which may advance its layers by another clock than software
-    played = program if clock in on.clocks else compile_program(source.artifact, on)
+    played = program
+    if clock not in on.clocks:
+        played = compile_program(source.artifact, on, source.quantisation)
     seen, recorded = source.episode(played, observations, env)
     origin = f"{source.origin}, on {source.chip}{source.scales}"
     files = policy_in_c(program, codec, seen, origin, prefix)

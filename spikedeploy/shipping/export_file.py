@@ -62,6 +62,7 @@ def export_nir(
         return export_run(
             policy, "nir", path, observations, state=state, checkpoint=checkpoint, force=force
         )
+    _refuse(checkpoint=checkpoint)
     path = require_output(path, "a .nir file", "net.nir")
     file = nir_file(policy, "nir")
     check_output("-o", path, (file, policy), force, _is_rewritten)
@@ -103,6 +104,7 @@ def export_onnx(
         )
     from spikedeploy.exporters.spiking_onnx import KIND, checks, spiking_to_onnx
 
+    _refuse(checkpoint=checkpoint, state=state)
     path, source = require_output(path, "a file", "step.onnx"), SpikingSource.read(policy, "onnx")
     check_output("-o", path, (source.file,), force, lambda found: has_text(found, KIND))
     seen, _ = source.episode(None, observations, env)
@@ -139,6 +141,14 @@ def export_xylo(
     remarks = [f"the {what} stays with the host" for what, one in left.items() if one is not None]
     check = compare_spikes(program, found, observations)
     return _checked(path, [check], [*program.remarks, *remarks])
+
+
+def _refuse(**of_runs: str | None) -> None:
+    """Refuse options that a run alone has."""
+    if given := [name for name, value in of_runs.items() if value is not None]:
+        raise ConfigError(
+            f"--{given[0]} is for a run that is exported as it was trained: leave it out"
+        )
 
 
 def _checked(

@@ -51,6 +51,11 @@ def test_what_is_unknown_is_refused(wrong, word):
         Setup(**wrong).check()
 
 
+def test_limits_are_no_boolean():
+    with pytest.raises(ConfigError, match="limits True is unknown"):
+        OnChip(limits=True)
+
+
 def test_texts_are_options():
     assert parse_options(["track=small_S", "lidar.noise=2", "lidar.count=9", "on=true"]) == {
         "track": "small_S", "lidar": {"noise": 2, "count": 9}, "on": True,

@@ -292,7 +292,7 @@ def test_an_error_that_users_can_act_on_is_one_line_and_exit_code_2(
 
 
 @pytest.mark.parametrize(
-    "words", [("walk",), ("run",), ("compare", "hexapod", "--episodes", "0"), ("envs", "--xml")]
+    "words", [(), ("walk",), ("run",), ("compare", "hexapod", "--episodes", "0"), ("envs", "--xml")]
 )
 def test_wrong_usage_is_exit_code_2(words, command):
     assert command(*words)[0] == 2

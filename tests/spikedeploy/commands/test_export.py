@@ -80,8 +80,13 @@ REFUSED = {
         "name it, as in -o": [("policy.nir", "--for", "snntorch")],
         "--env is no option": [("policy.nir", "-o", "out.nir", "--env", "x")],
         "--board is no option": [("policy.nir", "-o", "out.nir", "--board", "icestick")],
+        "--checkpoint is for a run,": [("policy.nir", "-o", "out.nir", "--checkpoint", "last")],
+        "above 0": [("policy.nir", "-o", "out.nir", "--dt", "0")],
     },
-    "onnx": {"--for is no option": [("policy.nir", "-o", "out.onnx", "--for", "snntorch")]},
+    "onnx": {
+        "--for is no option": [("policy.nir", "-o", "out.onnx", "--for", "snntorch")],
+        "--state is for a run,": [("policy.nir", "-o", "out.onnx", "--state", "kept")],
+    },
     "rust": {"unknown format 'rust'": [("policy.nir", "-o", "out")]},
 }
 CASES = [(to, said, words) for to in REFUSED for said in REFUSED[to] for words in REFUSED[to][said]]
