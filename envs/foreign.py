@@ -89,6 +89,7 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         space, self._from_inner = _observation_map(name, inner.observation_space)
         self.observation_space: gymnasium.Space[Any] = space
         self.action_space, self._to_inner = _action_map(name, inner.action_space)
+        self._bounds = _bounds(inner)
         self.CONTROL_DT = control_period(inner)
         self._key, self.remark = success, ""
         self._threshold = inner.spec.reward_threshold if inner.spec else None
@@ -151,6 +152,11 @@ class AdaptedEnv(gymnasium.Env[FloatArray, Any]):
         *rest, info = found
         if not isinstance(info, Mapping | None):
             raise EnvError(f"{self.name}: {method}: info is {show(info)}, no dictionary; {_TODAY}")
+        if _bounds(self.inner) != self._bounds:  # actions would be scaled by those of before
+            raise EnvError(
+                f"{self.name}: its spaces change in {doing}, and policies have one of each: make "
+                "it with the widest"
+            )
         return *rest, info or {}
 
     def _seen(self, observation: Any) -> FloatArray:  # noqa: ANN401
@@ -208,6 +214,16 @@ def contained(name: str, doing: str) -> Iterator[None]:
             f"{name} ended the process in {doing}, with sys.exit or a function that calls it: take "
             "that out"
         ) from stop
+
+
+def _bounds(world: gymnasium.Env[Any, Any]) -> list[tuple[Any, ...]]:
+    """Return copies of what policies know of its spaces: shapes and bounds, or choices."""
+    return [
+        (each.dtype, each.shape, each.low.tobytes(), each.high.tobytes())
+        if isinstance(each, Box)
+        else (type(each), getattr(each, "start", None), getattr(each, "n", None))
+        for each in (world.observation_space, world.action_space)
+    ]
 
 
 def _is_of_renderer(error: Exception) -> bool:

@@ -76,3 +76,11 @@ def masked(observation):
 def leaves(observation):
     """A teacher that ends the process."""
     sys.exit()
+
+
+def remembers(observation):
+    """A teacher that keeps something of an episode."""
+    return np.zeros((2, 1))
+
+
+remembers.reset = lambda: None

@@ -119,7 +119,7 @@ class NetworkConfig(_Section):
     populations: likewise; None for as many as the network has inputs for, at most 8 where it is
         made for any number
     score: what of the output over the timesteps is read: its "mean", or its "last" value
-    limits: refuse what breaks a design rule of the chip
+    limits: refuse a named network that breaks a design rule of the chip
     """
 
     kind: Literal["network"] = "network"
@@ -138,6 +138,17 @@ class NetworkConfig(_Section):
     limits: bool = True
     surrogate: Literal["fast-sigmoid", "atan", "rectangular"] = "atan"
     surrogate_width: Rate | None = None
+
+    @model_validator(mode="after")
+    def _a_named_network_has_layers_of_its_own(self) -> "NetworkConfig":
+        fields, own = type(self).model_fields, ("hidden", "outputs", "alpha", "beta", "limit")
+        given = [name for name in own if getattr(self, name) != fields[name].default]
+        if self.network and given:
+            raise ValueError(
+                f"{', '.join(given)}: for layers of a chip's own neurons, and the network "
+                f"{self.network} has its own. Leave it out"
+            )
+        return self
 
 
 class DeltaSnnConfig(_Section):

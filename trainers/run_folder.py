@@ -107,7 +107,8 @@ class RunFolder:
         """Return the configuration."""
         from spikedeploy.runtime.schema import validate
 
-        return validate(model, self.settings(), str(self.path))
+        remedy = ". If another version made the run (versions.json), use that one, or train it anew"
+        return validate(model, self.settings(), str(self.path), remedy)
 
     def write_config(self, config: "RunConfig") -> None:
         """Write the configuration."""

@@ -63,18 +63,14 @@ class TileMap:
 
 
 class FootholdScript:
-    """The script on observations of HexapodTiles, with a map where it looks ahead."""
+    """The script on observations of HexapodTiles."""
 
-    def __init__(self, view: View) -> None:
-        self._slices = layout(entries(view))  # earlier rows, which come last, are not read
-        self._centre, self._spread = scaling(entries(view))
+    VIEW: View = "around"
+
+    def __init__(self) -> None:
+        self._slices = layout(entries(self.VIEW))  # earlier rows, which come last, are not read
+        self._centre, self._spread = scaling(entries(self.VIEW))
         self._points = SCANS["around"].reshape(6, -1, 2)
-        self._ahead = view == "ahead"
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was seen."""
-        self._map, self._travelled, self._velocity = TileMap(), np.zeros(1), np.zeros(1)
 
     def __call__(self, observation: FloatArray) -> FloatArray:
         """Return the action (18,)."""
@@ -96,20 +92,8 @@ class FootholdScript:
         return action
 
     def _scan(self, observation: FloatArray) -> FloatArray:
-        """The scan (6, 35) of the footholds, 1 where a point is forbidden; ahead from the map."""
-        seen = observation[self._slices["scan"]]  # 0 and 1, as they are observed
-        if not self._ahead:
-            return seen.reshape(6, -1)
-        heading, lateral = (self._measured(observation, name) for name in ("heading", "lateral"))
-        cosine, sine = np.cos(heading), np.sin(heading)
-        moving = self._measured(observation, "velocity")
-        velocity = cosine * moving[:1] - sine * moving[1:2]  # along the course
-        self._travelled = self._travelled + (0.5 * CONTROL_DT) * (self._velocity + velocity)
-        self._velocity = velocity
-        here = np.concatenate([self._travelled, lateral])
-        turned = np.stack([np.concatenate([cosine, sine]), np.concatenate([-sine, cosine])])
-        self._map.add(here + SCANS["ahead"] @ turned, seen)
-        return self._map.look_up(here + self._points.reshape(-1, 2) @ turned).reshape(6, -1)
+        """The scan (6, 35) of the footholds, 1 where a point is forbidden."""
+        return observation[self._slices["scan"]].reshape(6, -1)
 
     def _measured(self, observation: FloatArray, name: str) -> FloatArray:
         """An entry of the observation in its own units."""
@@ -147,6 +131,34 @@ class FootholdScript:
         arriving = np.maximum((_ARRIVED - done) * _SWING, CONTROL_DT)[:, None] + _LAG
         reached: FloatArray = chosen - arriving * passing
         return reached
+
+
+class RememberingScript(FootholdScript):
+    """The script on observations of HexapodTilesAhead, which keeps a map of what it saw."""
+
+    VIEW = "ahead"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        self._map, self._travelled, self._velocity = TileMap(), np.zeros(1), np.zeros(1)
+
+    def _scan(self, observation: FloatArray) -> FloatArray:
+        """The scan (6, 35) of the footholds, by the map."""
+        seen = observation[self._slices["scan"]]  # 0 and 1, as they are observed
+        heading, lateral = (self._measured(observation, name) for name in ("heading", "lateral"))
+        cosine, sine = np.cos(heading), np.sin(heading)
+        moving = self._measured(observation, "velocity")
+        velocity = cosine * moving[:1] - sine * moving[1:2]  # along the course
+        self._travelled = self._travelled + (0.5 * CONTROL_DT) * (self._velocity + velocity)
+        self._velocity = velocity
+        here = np.concatenate([self._travelled, lateral])
+        turned = np.stack([np.concatenate([cosine, sine]), np.concatenate([-sine, cosine])])
+        self._map.add(here + SCANS["ahead"] @ turned, seen)
+        return self._map.look_up(here + self._points.reshape(-1, 2) @ turned).reshape(6, -1)
 
 
 def _lifted(done: FloatArray) -> FloatArray:

@@ -88,14 +88,12 @@ def _same_training(origin: Provenance, path: Path) -> bool:
 
 
 def kind_of(policy: "Policy", control: bool = False) -> str:
-    """The kind for comparisons; a float network that is pruned or pools is a control."""
+    """The kind for comparisons; a float network that is linear or pruned is a control."""
     if policy.kind in SPIKING:
         return "snn"
     if policy.kind.startswith("pruned"):
         return "control"
-    spec = policy.spec()
-    sees_all = list(spec.get("pool", (1, 1))) == [1, 1]
-    return "ann" if sees_all and spec["hidden"] and not control else "control"
+    return "ann" if policy.spec()["hidden"] and not control else "control"
 
 
 def record_observations(

@@ -371,6 +371,27 @@ def test_many_choices_are_refused():
             envs.make("tests.own_env:refused", kind=kind, space=spaces.Discrete(10**7))
 
 
+@pytest.mark.parametrize("in_place", [True, False])
+@pytest.mark.parametrize(("method", "when"), [("reset", r"reset\(\)"), ("step", "step 1")])
+def test_spaces_that_change_are_refused(monkeypatch, in_place, method, when):
+    class Grows(own_env.Reach):
+        def __init__(self):
+            super().__init__()
+            self.action_space = spaces.Box(-1.0, 1.0, (2, 1), np.float32)
+
+    def grow(self, *given, **options):
+        if in_place:
+            self.action_space.high[:] = 9.0
+        else:
+            self.action_space = spaces.Box(-1.0, 9.0, (2, 1), np.float32)
+        return getattr(own_env.Reach, method)(self, *given, **options)
+
+    setattr(Grows, method, grow)
+    monkeypatch.setattr(own_env, "Grows", Grows, raising=False)
+    with pytest.raises(EnvError, match=f"its spaces change in {when}"):
+        rollout(envs.make("tests.own_env:Grows"), Middle(), seed=0)
+
+
 @pytest.mark.parametrize("kind", ["NormalizeObservation", "NormalizeReward"])
 def test_a_wrapper_that_goes_on_measuring_is_refused_unless_it_is_frozen(monkeypatch, kind):
     def wrapped(freeze=False):

@@ -9,7 +9,7 @@ import pytest
 
 from examples.hexapod_tiles import HexapodTiles, HexapodTilesAhead, footholds
 from examples.hexapod_tiles.env import AIRTIME, SCANS, Tiles
-from examples.hexapod_tiles.footholds import FootholdScript, TileMap
+from examples.hexapod_tiles.footholds import RememberingScript, TileMap
 from examples.hexapod_tiles.kinematics import feet, joints
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import run_policy
@@ -126,7 +126,7 @@ def test_a_scan_moves_and_turns_with_the_body(view):
 
 def test_a_delay_line_shows_the_nearest_row_as_it_was_seen_before():
     env = HexapodTilesAhead(delays=4, noise=0.0)
-    script = FootholdScript("ahead")
+    script = RememberingScript()
     observation, _ = env.reset(seed=2)
     rows = []
     for _ in range(150):  # to where tiles are forbidden
@@ -222,7 +222,7 @@ def test_looking_ahead_the_script_steps_by_its_map():
     assert played.info["touchdowns"][-1] > 40
     assert played.info["misstep_share"][-1] < 0.08  # blind it is about 0.28
     player.reset(0)
-    fresh = FootholdScript("ahead")(played.observation[0])
+    fresh = RememberingScript()(played.observation[0])
     np.testing.assert_allclose(player.act(played.observation[0]), fresh, atol=1e-9)
 
 

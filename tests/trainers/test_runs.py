@@ -401,6 +401,13 @@ def test_a_configuration_that_was_cut_off_is_refused(run):
     assert file.read_text() == changed
 
 
+def test_a_run_of_an_earlier_version_is_refused_by_its_settings(run):
+    file = run / "config.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "ghosts": True}))
+    with pytest.raises(ConfigError, match=r"ghosts: .* another version made the run"):
+        resumed(run)
+
+
 def test_a_row_that_a_full_disk_cut_off_after_the_checkpoint_is_dropped(run):
     with (run / "metrics.csv").open("a") as file:
         file.write("177,12")

@@ -13,7 +13,7 @@ from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
 from spikedeploy import envs
-from spikedeploy.envs.foreign import attribute, contained, import_target, is_target
+from spikedeploy.envs.foreign import AdaptedEnv, attribute, contained, import_target, is_target
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
@@ -30,7 +30,7 @@ def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
 
     It is the user's own code and runs in the user's process: the module that is named is imported.
     Where the function has the attribute `vectorised`, and it is true, it takes a batch of them. Its
-    `reset()`, where it has one, is called when an episode begins.
+    `reset()`, where it has one, is called when an episode begins; it then plays, but cannot teach.
     """
     module, _, within = name.partition(":")
     act = attribute(name, import_target(name, module, "a teacher is module:function"), within)
@@ -67,7 +67,8 @@ def expert_of(spaces: OwnSpaces) -> Teacher:
     """
 
     def asks(worlds: Sequence[Any]) -> FloatArray:
-        inner = [getattr(w.unwrapped, "inner", w).unwrapped for w in worlds]  # behind an AdaptedEnv
+        own = (world.unwrapped for world in worlds)
+        inner = [w.inner.unwrapped if isinstance(w, AdaptedEnv) else w for w in own]
         if missing := [world for world in inner if not hasattr(world, EXPERT)]:
             raise ConfigError(
                 f"{type(missing[0]).__name__} has no expert: give it a method `expert`, which "
@@ -180,7 +181,7 @@ _PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 def teacher(
     path: str, env: str, options: Mapping[str, Any] | None = None, units: Units | None = None
 ) -> Teacher:
-    """Return the teacher that a path or name means, which must match the environment.
+    """Return the teacher to imitate that a path or name means, which must match the environment.
 
     path: a run folder, an .onnx, .nir or Stable-Baselines3 .zip file, module:function, the name of
         a shipped policy, such as "hexapod/sac", or "expert", that of the environment itself
@@ -194,7 +195,13 @@ def teacher(
             ".onnx, .nir or Stable-Baselines3 .zip file, my_module:function, or a shipped policy "
             "such as hexapod/sac"
         )
-    return open_teacher(path, env, lambda: OwnSpaces.from_env(env, options or {}), units)
+    found = open_teacher(path, env, lambda: OwnSpaces.from_env(env, options or {}), units)
+    if found.restart is not None:
+        raise ConfigError(
+            f"the teacher {path} has a reset(), so it remembers, and a teacher labels single "
+            "observations of many robots: it can be compared (--teacher), not imitated"
+        )
+    return found
 
 
 def open_teacher(

@@ -11,6 +11,7 @@ delta_policy.py    events in, states that live on: delta code, LIF neurons, NIR 
 """
 
 from collections.abc import Callable, Mapping
+from inspect import signature
 from typing import Any
 
 from spikedeploy.runtime.errors import ConfigError
@@ -54,6 +55,11 @@ def build(spec: Mapping[str, Any]) -> Policy:
     """Return an untrained policy from the result of `Policy.spec`."""
     settings = dict(spec)
     policy = _POLICIES[require_known(settings.pop("kind"), _POLICIES, "kind of policy")]
+    if unknown := sorted(set(settings) - set(signature(policy).parameters)):
+        raise ConfigError(
+            f"a policy of kind {spec['kind']!r} has no {', '.join(unknown)}: another version of "
+            "spikedeploy saved it. Use that one, or train it anew"
+        )
     if policy is DeltaSnnPolicy:
         settings["settings"] = DeltaSnnConfig(**settings["settings"])
     return policy(**settings)

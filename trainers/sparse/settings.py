@@ -19,8 +19,7 @@ from spikedeploy.trainers.config import (
 class SparseConfig(RunConfig):
     """DAgger over whole walks, then pruning by operations in rounds (docs/sparse.md).
 
-    teacher, teacher_units: policy to imitate, as in DistillConfig; "privileged" is that of an
-        environment, which knows its simulation
+    teacher, teacher_units: policy to imitate, as in DistillConfig
     pool: run folder whose walks are taken over as well
     budget: operations of a control step at the end: SOPs of a spiking policy, effective MACs of a
         float one; 0 lets a search find it

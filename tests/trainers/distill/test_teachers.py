@@ -107,6 +107,8 @@ def test_nothing_is_imported_but_what_was_named(tmp_path, monkeypatch):
         teacher("tests.own_teachers:reech", REACH)
     with pytest.raises(ConfigError, match="NUMBER is no function of an observation, but 3"):
         teacher("tests.own_teachers:NUMBER", REACH)
+    with pytest.raises(ConfigError, match=r"has a reset\(\), .* not imitated"):
+        teacher("tests.own_teachers:remembers", REACH)
 
 
 # as rsl_rl exports: one observation, "obs" to "actions"; and as others do

@@ -239,6 +239,13 @@ def test_what_is_no_network_is_refused_in_a_sentence(network, message):
         from_config(NetworkConfig(network=network), 3, 2)
 
 
+def test_settings_of_a_chips_own_neurons_are_refused_beside_a_network():
+    with pytest.raises(
+        ValueError, match=r"hidden, beta: .*tests\.own_networks:instance has its own"
+    ):
+        NetworkConfig(network="tests.own_networks:instance", hidden=(64,), beta=0.5)
+
+
 def test_a_network_of_other_inputs_is_refused_in_a_sentence():
     with pytest.raises(ConfigError, match=r"takes 24 inputs, and the code of 5 observations"):
         from_config(NetworkConfig(network="tests.own_networks:instance"), 5, 2)

@@ -131,6 +131,11 @@ def test_an_unknown_kind_of_policy_is_refused():
         build({"kind": "popsam"})
 
 
+def test_a_policy_of_an_earlier_version_is_refused_by_what_it_has():
+    with pytest.raises(ConfigError, match="has no bits, features: another version .* saved it"):
+        build({**MlpPolicy(4, 2).spec(), "features": "phase", "bits": None})
+
+
 def test_running_moments_equal_those_of_all_data():
     data = np.random.default_rng(0).normal(3.0, 2.0, (1000, 4))
     moments = Moments.empty(4)
