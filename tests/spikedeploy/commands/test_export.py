@@ -80,12 +80,12 @@ REFUSED = {
         "name it, as in -o": [("policy.nir", "--for", "snntorch")],
         "--env is no option": [("policy.nir", "-o", "out.nir", "--env", "x")],
         "--board is no option": [("policy.nir", "-o", "out.nir", "--board", "icestick")],
-        "--checkpoint is for a run,": [("policy.nir", "-o", "out.nir", "--checkpoint", "last")],
+        "--checkpoint is for a run": [("policy.nir", "-o", "out.nir", "--checkpoint", "last")],
         "above 0": [("policy.nir", "-o", "out.nir", "--dt", "0")],
     },
     "onnx": {
         "--for is no option": [("policy.nir", "-o", "out.onnx", "--for", "snntorch")],
-        "--state is for a run,": [("policy.nir", "-o", "out.onnx", "--state", "kept")],
+        "--state is for a run": [("policy.nir", "-o", "out.onnx", "--state", "kept")],
     },
     "rust": {"unknown format 'rust'": [("policy.nir", "-o", "out")]},
 }
