@@ -68,7 +68,7 @@ def expert_of(spaces: OwnSpaces) -> Teacher:
 
     def asks(worlds: Sequence[Any]) -> FloatArray:
         own = (world.unwrapped for world in worlds)
-        inner = [w.inner.unwrapped if isinstance(w, AdaptedEnv) else w for w in own]
+        inner: list[Any] = [w.inner.unwrapped if isinstance(w, AdaptedEnv) else w for w in own]
         if missing := [world for world in inner if not hasattr(world, EXPERT)]:
             raise ConfigError(
                 f"{type(missing[0]).__name__} has no expert: give it a method `expert`, which "

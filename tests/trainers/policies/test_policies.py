@@ -132,7 +132,7 @@ def test_an_unknown_kind_of_policy_is_refused():
 
 
 def test_a_policy_of_an_earlier_version_is_refused_by_what_it_has():
-    with pytest.raises(ConfigError, match="has no bits, features: another version .* saved it"):
+    with pytest.raises(ConfigError, match=r"has no bits, features: another version .* saved it"):
         build({**MlpPolicy(4, 2).spec(), "features": "phase", "bits": None})
 
 
