@@ -13,7 +13,6 @@ Clock = Literal["gated", "pipelined", "free"]
 # runtime.chips.quantisation.Quantisation
 Granularity = Literal["layer", "channel"]
 Rounding = Literal["nearest", "truncate"]
-Headroom = Literal["none", "proven"]
 
 # what computes a chip: runtime.emulator.backend
 BackendName = Literal["numpy", "numba", "auto", "interpreter"]

@@ -18,7 +18,6 @@ from spikedeploy.runtime.choices import (
     BackendName,
     Floor,
     Granularity,
-    Headroom,
     Integrator,
     Reset,
     Rounding,
@@ -88,16 +87,12 @@ class OnChip:
         limits: refuse what breaks a design rule of the chip; 'off' emulates its arithmetic alone
         quantise: one scale for a layer, or for each neuron
         rounding: rounding of weights, thresholds and decays (default: the chip's own)
-        headroom: fill the range of weights, or leave enough that nothing overflows
-        thresholds: most distinct thresholds of a layer, with --quantise channel
         weight_shift: bits that a Xylo shifts weights to the left
     """
 
     limits: Switch = "on"
     quantise: Granularity = "layer"
     rounding: Rounding | None = None
-    headroom: Headroom = "none"
-    thresholds: Count | None = None
     weight_shift: Natural = 0
 
     def __post_init__(self) -> None:
@@ -109,13 +104,7 @@ class OnChip:
         """How a float network becomes integers of the chip."""
         from spikedeploy.runtime.chips.quantisation import Quantisation
 
-        return Quantisation(
-            self.quantise,
-            self.rounding,
-            self.headroom,
-            self.thresholds,
-            weight_shift=self.weight_shift,
-        )
+        return Quantisation(self.quantise, self.rounding, weight_shift=self.weight_shift)
 
     def arguments(self) -> dict[str, Any]:
         """Return arguments of a compiler: quantisation, and whether rules are enforced."""

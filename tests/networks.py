@@ -63,6 +63,13 @@ def codec(obs, populations=10, timesteps=5, squash="tanh"):
     return Codec(normaliser, PopulationEncoder(centres, widths), timesteps, squash)
 
 
+def crowd(axons=600, threshold=100.0, size=1):
+    """Neurons that so many axons drive with the largest weight, which one timestep overflows."""
+    neurons = cuba(size, alpha=0.0, beta=0.75, threshold=threshold)
+    network = chain(nir.Linear(np.ones((size, axons))), neurons, width=axons, act=size)
+    return Artifact(network, None, Convention(1e-3))
+
+
 def popsan(obs=3, act=2, hidden=(16, 12), populations=10, seed=0, dt=1e-3):
     """A spiking policy with random weights."""
     rng = np.random.default_rng(seed)

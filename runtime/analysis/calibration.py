@@ -54,7 +54,7 @@ def with_calibrated_headroom(
     if over:
         raise RuleError(
             f"layer {over[0]!r}: its numbers overflow on these inputs at every scale tried, since "
-            "feedback drives them. Choose headroom 'proven'."
+            "feedback drives them. Make the loop weaker."
         )
     return quantisation
 

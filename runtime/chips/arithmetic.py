@@ -20,7 +20,7 @@ from spikedeploy.runtime.chips.layer import (
     Synapses,
     with_starts,
 )
-from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.quantisation import CHOICES, PLAIN, Quantisation
 from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError, RuleError
@@ -113,12 +113,13 @@ class ArithmeticDefaults(Protocol):
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
         """Refuse choices that the arithmetic lacks."""
-        if quantisation.weight_shift:
-            raise ConfigError(
-                f"weight_shift is {quantisation.weight_shift}: {chip_name} has no shift. Leave it "
-                "out, or choose a Xylo."
-            )
-        quantisation.only(chip_name, *self.choices)
+        for option in CHOICES:
+            found = getattr(quantisation, option)
+            if option not in self.choices and found != getattr(PLAIN, option):
+                raise ConfigError(
+                    f"{option} is {found!r}; on {chip_name} only {' and '.join(self.choices)} can "
+                    "be chosen. Leave it out, or choose another chip."
+                )
 
     def prepare(
         self,

@@ -1,7 +1,7 @@
-"""Choices of quantisation: which neurons share a scale, rounding, headroom, tuning."""
+"""Choices of quantisation: which neurons share a scale, rounding, tuning."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import get_args
 
 from spikedeploy.runtime import choices
@@ -9,9 +9,6 @@ from spikedeploy.runtime.chips.registers import Rounding
 from spikedeploy.runtime.errors import ConfigError
 
 Granularity = choices.Granularity
-Headroom = choices.Headroom
-# fields of Quantisation that an arithmetic may leave open; the shift is Xylo's alone
-CHOICES = ("granularity", "rounding", "headroom", "thresholds", "tuned")
 
 
 @dataclass(frozen=True)
@@ -28,7 +25,7 @@ class Tuning:
     threshold: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, value in (("clip_ratio", self.clip_ratio), ("threshold", self.threshold)):
+        for name, value in vars(self).items():
             if not 0 < value < float("inf"):
                 raise ConfigError(f"tuning: {name} is {value}; it must be above 0 and finite.")
 
@@ -44,10 +41,6 @@ class Quantisation:
         "channel", one for each neuron.
     rounding: "nearest", half to even; "truncate" drops fractions, as PopSAN's mapping did; None is
         what the chip's own tool does: on Loihi "nearest".
-    headroom: "none", the largest weight, threshold or bias fills what the chip holds; "proven", the
-        largest scale at which no spikes whatever can overflow a register.
-    thresholds: most distinct thresholds of a layer, for which scales of neurons shrink a little;
-        None is no limit. nengo-loihi 1.1.0 lets a core of Loihi 1 hold 16.
     tuned: layer -> what calibration found.
     weight_shift: [bits] by which a Xylo shifts all weights to the left; thresholds and biases
         follow. States are then finer than weights, and decays lose less to rounding; they also
@@ -56,8 +49,6 @@ class Quantisation:
 
     granularity: Granularity = "layer"
     rounding: Rounding | None = None
-    headroom: Headroom = "none"
-    thresholds: int | None = None
     tuned: Mapping[str, Tuning] = field(default_factory=dict, hash=False)
     weight_shift: int = 0
 
@@ -65,28 +56,10 @@ class Quantisation:
         for option, allowed in (
             ("granularity", get_args(Granularity)),
             ("rounding", (*get_args(Rounding), None)),
-            ("headroom", get_args(Headroom)),
         ):
             if (found := getattr(self, option)) not in allowed:
                 choices = " or ".join(repr(each) for each in allowed if each)
                 raise ConfigError(f"{option} {found!r} is unknown. Choose {choices}.")
-        if self.thresholds is None:
-            return
-        if self.thresholds < 1 or self.granularity == "layer":
-            raise ConfigError(
-                f"thresholds is {self.thresholds} with a scale for each {self.granularity}; it "
-                "must be 1 or more, and needs a scale for each 'channel'."
-            )
-
-    def only(self, chip: str, *possible: str) -> None:
-        """Refuse choices that a chip lacks."""
-        for option in CHOICES:
-            found = getattr(self, option)
-            if option not in possible and found != getattr(PLAIN, option):
-                raise ConfigError(
-                    f"{option} is {found!r}; on {chip} only {' and '.join(possible)} can be "
-                    "chosen. Leave it out, or choose a Loihi."
-                )
 
     def tuning_for(self, layer: str) -> Tuning:
         """The tuning of a layer."""
@@ -100,10 +73,10 @@ class Quantisation:
             if found != UNTUNED
         ]
         rounding = f"rounding {self.rounding!r}" if self.rounding else "the chip's own rounding"
-        most = "" if self.thresholds is None else f" with at most {self.thresholds} thresholds"
-        scales = f"a scale for each {self.granularity}{most}"
         shift = f", weights shifted by {self.weight_shift} bits" if self.weight_shift else ""
-        return f"{scales}, {rounding}, headroom {self.headroom!r}{shift}{''.join(tuned)}"
+        return f"a scale for each {self.granularity}, {rounding}{shift}{''.join(tuned)}"
 
 
 PLAIN = Quantisation()
+# what an arithmetic may leave open: Arithmetic.choices
+CHOICES = tuple(each.name for each in fields(Quantisation))

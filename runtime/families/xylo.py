@@ -89,7 +89,7 @@ class XyloArithmetic(ArithmeticDefaults):
     backends: ClassVar[Mapping[str, str]] = {
         "numba": "spikedeploy.runtime.families.numba_xylo:XyloPipeline",
     }
-    choices: ClassVar[tuple[str, ...]] = ("granularity", "rounding")
+    choices: ClassVar[tuple[str, ...]] = ("granularity", "rounding", "weight_shift")
     time_model: ClassVar[str | None] = "xylo-clocks"
 
     @property
@@ -183,7 +183,7 @@ class XyloArithmetic(ArithmeticDefaults):
 
     def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
         """Refuse choices that Xylo lacks."""
-        quantisation.only(chip_name, *self.choices)
+        super().check_quantisation(quantisation, chip_name)
         if not 0 <= (shift := quantisation.weight_shift) <= self.shift_max:
             raise ConfigError(f"weight_shift is {shift}; choose 0 to {self.shift_max} bits.")
 

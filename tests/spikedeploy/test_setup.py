@@ -42,7 +42,6 @@ def test_it_has_what_environment_and_chip_take():
         ({"metric": ("speed",)}, "--metric"),
         ({"energy": ("pi",)}, "pi"),
         ({"fault": ("dead",)}, "--fault"),
-        ({"thresholds": 2}, "thresholds"),
         ({"set_": ("success=1",)}, "--success"),
     ],
 )

@@ -32,7 +32,7 @@ from spikedeploy.runtime.families.cuba.neurons import (
     sum_arriving,
     update,
 )
-from spikedeploy.runtime.families.cuba.quantise import describe_range, quantise, with_headroom
+from spikedeploy.runtime.families.cuba.quantise import describe_range, quantise
 
 # from rounded weights to the chip, each with those before it
 _ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
@@ -49,7 +49,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         "numba": "spikedeploy.runtime.families.cuba.numba_integers:CubaPipeline",
     }
     spikes_max: ClassVar[int] = 1
-    choices: ClassVar[tuple[str, ...]] = CHOICES
+    choices: ClassVar[tuple[str, ...]] = ("granularity", "rounding", "tuned")
     spikes_and_floor: ClassVar[tuple[str, str] | None] = ("above", "none")
     ablation_steps: ClassVar[tuple[str, ...]] = _ROUNDING_STEPS
 
@@ -91,15 +91,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         timesteps: int | None,
         limits: bool,
     ) -> Sequence[Layer]:
-        """Return the float layers as integers, with the requested headroom."""
-        if quantisation.headroom == "proven":
-            for layer in network.layers:
-                if layer.graded:
-                    raise RuleError(
-                        f"rule headroom: layer {layer.name!r}: nothing bounds its graded spikes, "
-                        "so no scale is proven to hold their sums. Choose headroom 'none'."
-                    )
-            return with_headroom(self, network, quantisation, timesteps)
+        """Return the float layers as integers."""
         return [quantise(layer, self, quantisation) for layer in network.layers]
 
     def ranges(self, layers: Sequence[Layer], timesteps: int | None) -> list[str]:
@@ -293,9 +285,8 @@ class CubaFloat64(ArithmeticDefaults):
     state_bits: ClassVar[tuple[int, ...]] = (32, 32)
     # whole numbers that float64 holds
     graded_bits: ClassVar[int] = 53
-
-    def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
-        """Accept every choice, since nothing is rounded."""
+    # nothing is rounded, so that all are accepted
+    choices: ClassVar[tuple[str, ...]] = CHOICES
 
     def prepare(
         self,

@@ -5,18 +5,13 @@ becomes the chip's largest weight (Tang et al. 2020, PopSAN), unless the thresho
 bias would not fit then. Spikes are unit events, so layers and neurons can be scaled independently:
 threshold, bias and membrane follow the scale.
 
-A neuron that has a scale of its own has a threshold of its own, and a core stores only so many.
-Scales may shrink a little, so that neurons share thresholds; nothing else has to follow.
-
 Nothing bounds the current of a readout that hardly leaks: it is the sum of all that ever arrived.
 So a scale is chosen at which half of each register holds NET_EVENTS more spikes of one sign than of
 the other over a neuron's heaviest synapse, or all that can arrive where leaks bound that. A decay
 rounds toward zero, by up to 1 state unit in a timestep, which matters least beside large states:
 the weights count 2**exponent times, with the largest exponent that leaves this room.
 
-Bounds on the numbers of a layer, whatever the spikes, prove that fast arithmetic is exact. Headroom
-is the largest scale at which no register of the chip can overflow; widths count even where a model
-of the chip does not say what happens beyond them.
+Bounds on the numbers of a layer, whatever the spikes, prove that fast arithmetic is exact.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.arithmetic import check_thresholds, check_weights_left
-from spikedeploy.runtime.chips.layer import NEVER, Layer, Network, Synapses
+from spikedeploy.runtime.chips.layer import NEVER, Layer, Network
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity, Quantisation
 from spikedeploy.runtime.chips.registers import Register, Rounding, magnitude, round_values
 from spikedeploy.runtime.errors import RuleError
@@ -94,7 +89,7 @@ def describe_range(
             return ""
         membrane, states = 0 * membrane, states[:2]
     unit, held = 1 << registers.mantissa_shift, min(states)
-    positive, negative, heaviest = _weight_sums(layer)
+    positive, negative, heaviest = weight_sums(layer)
     each, bias = (
         heaviest * unit * _peak_response(current, membrane),
         _bias_sums(layer, current, membrane, unit),
@@ -125,29 +120,26 @@ def _bias_sums(layer: Layer, current: Floats, membrane: Floats, unit: int) -> Fl
     )
 
 
-def _weight_sums(layer: Layer) -> tuple[Floats, Floats, Floats]:
-    """Sums of the positive and of the negative weights of each neuron, and its heaviest (N,)."""
-    matrices = [s.weight for s in layer.synapses if s.window is None]
-    weights = np.concatenate([np.zeros((0, layer.size)), *matrices])
-    positive, negative = weights.clip(min=0).sum(axis=0), -weights.clip(max=0).sum(axis=0)
-    heaviest = np.abs(weights).max(axis=0, initial=0.0)
-    for s in (s for s in layer.synapses if s.window is not None):
-        kernel = s.weight.astype(np.float64)
-        positive += s.over_axons(kernel.clip(min=0), np.add)
-        negative += s.over_axons(-kernel.clip(max=0), np.add)
-        heaviest = np.maximum(heaviest, s.over_axons(np.abs(kernel), np.maximum))
+def weight_sums(layer: Layer) -> tuple[Floats, Floats, Floats]:
+    """Sums (N,) of the positive and of the negative weights of each neuron, and its heaviest."""
+    positive = negative = heaviest = np.zeros(layer.size)
+    for synapses in layer.synapses:
+        weight = synapses.weight.astype(np.float64)
+        positive = positive + synapses.over_axons(weight.clip(min=0), np.add)
+        negative = negative - synapses.over_axons(weight.clip(max=0), np.add)
+        heaviest = np.maximum(heaviest, synapses.over_axons(np.abs(weight), np.maximum))
     return positive, negative, heaviest
 
 
 def _largest_arrival(layer: Layer) -> Floats:
     """The most that arrives in a timestep (N,)."""
-    positive, negative, _ = _weight_sums(layer)
+    positive, negative, _ = weight_sums(layer)
     return np.asarray(np.maximum(positive, negative) + np.abs(layer.bias))
 
 
 def _reach(layer: Layer) -> Floats:
     """Estimate of the largest current or membrane (N,) of a float layer [float units]."""
-    positive, negative, heaviest = _weight_sums(layer)
+    positive, negative, heaviest = weight_sums(layer)
     current, membrane = layer.current_decay, layer.membrane_decay
     steady, largest = _steady(current, membrane), np.maximum(positive, negative)
     events = NET_EVENTS * heaviest * _peak_response(current, membrane)
@@ -186,27 +178,20 @@ def _mantissas_per_unit(
     widest_bias = (
         registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
     )
-    widest = registers.weight_max * max(clip_ratio, 1.0)
-    if granularity != "channel":
-        largest = (
-            (widest, max(magnitude(a) for a in (*(s.weight for s in layer.synapses), layer.bias))),
-            (registers.threshold_max, magnitude(layer.threshold) if layer.spiking else 0.0),
-            (widest_bias, magnitude(layer.voltage_bias)),
-        )
-        with np.errstate(over="ignore"):  # what is so small that no float is its scale bounds none
-            least = min((np.divide(limit, each) for limit, each in largest if each > 0), default=1)
-        return float(least if np.isfinite(least) else 1.0) * min(clip_ratio, 1.0)
-    limits = (
-        (widest, [*map(_largest_weights, layer.synapses)]),
-        (widest, [layer.bias]),
-        (registers.threshold_max, [layer.threshold if layer.spiking else 0 * layer.bias]),
-        (widest_bias, [layer.voltage_bias]),
-    )
+    widest, (_, _, heaviest) = registers.weight_max * max(clip_ratio, 1.0), weight_sums(layer)
     scale = np.full(layer.size, np.inf)
-    for limit, arrays in limits:
-        found = np.abs(np.concatenate([np.atleast_2d(a) for a in arrays])).max(axis=0, initial=0.0)
-        with np.errstate(over="ignore"):
-            scale = np.minimum(scale, np.divide(limit, found, out=scale.copy(), where=found > 0))
+    for most, numbers in (
+        (widest, heaviest),
+        (widest, layer.bias),
+        (registers.threshold_max, layer.threshold if layer.spiking else 0 * layer.bias),
+        (widest_bias, layer.voltage_bias),
+    ):
+        with np.errstate(over="ignore"):  # what is so small that no float is its scale bounds none
+            found = np.divide(most, np.abs(numbers), out=scale.copy(), where=numbers != 0)
+        scale = np.minimum(scale, found)
+    if granularity == "layer":
+        least = float(scale.min())
+        return (least if np.isfinite(least) else 1.0) * min(clip_ratio, 1.0)
     # a neuron of zeros has no largest number
     scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
     for window in (s.window for s in layer.synapses if s.window is not None):
@@ -216,58 +201,8 @@ def _mantissas_per_unit(
     return scale
 
 
-def _largest_weights(synapses: Synapses) -> Floats:
-    """(N,) largest magnitude of the weights of each neuron; of a kernel, those of its channel."""
-    if synapses.window is None:
-        return np.asarray(np.abs(synapses.weight).max(axis=0, initial=0.0))
-    each = np.abs(synapses.weight).max(axis=(1, 2, 3))
-    return np.asarray(each.repeat(synapses.shape[1] // len(each)))
-
-
-_ROUNDS = 60
-
-
-def share_thresholds(scale: Floats, thresholds: Floats, most: int) -> Floats:
-    """Scales (N,), at most as large, at which so many distinct threshold mantissas are enough.
-
-    The scale that loses most loses as little as possible.
-
-    thresholds: (N,) [float units].
-    """
-    whole = np.floor(scale * thresholds)
-    used = np.unique(whole[whole > 0])
-    # a threshold of 0 is one of them
-    limit = max(most - int((whole <= 0).any()), 1)
-    starts = used
-    if len(used) > limit:
-        # smallest ratio of the largest to the smallest of a group with which so many groups do
-        low, ratio = 1.0, float(used[-1] / used[0]) * (1 + 1e-9)
-        for _ in range(_ROUNDS):
-            middle = (low * ratio) ** 0.5
-            low, ratio = (low, middle) if len(_starts(used, middle)) <= limit else (middle, ratio)
-        starts = _starts(used, ratio)
-    if not len(starts):
-        return scale
-    level = starts[np.searchsorted(starts, whole, "right") - 1]
-    return np.asarray(np.divide(level, thresholds, out=scale.copy(), where=whole > 0))
-
-
-def _starts(used: Floats, ratio: float) -> Floats:
-    """Return the smallest of each group, whose others are at most a given ratio larger."""
-    starts: list[float] = []
-    for value in used.tolist():
-        if not starts or value > starts[-1] * ratio:
-            starts.append(value)
-    return np.array(starts)
-
-
-def quantise(
-    layer: Layer, registers: CubaRegisters, quantisation: Quantisation = PLAIN, share: Scale = 1.0
-) -> Layer:
-    """The float layer as the chip's integers.
-
-    share: () or (N,) part of the largest scale that is used; headroom may ask for less than 1.
-    """
+def quantise(layer: Layer, registers: CubaRegisters, quantisation: Quantisation = PLAIN) -> Layer:
+    """The float layer as the chip's integers."""
     if not registers.bias_mantissa_max and layer.voltage_bias.any():
         raise RuleError(
             f"rule bias: layer {layer.name!r}: a voltage bias of "
@@ -276,14 +211,12 @@ def quantise(
         )
     tuning, rounding = quantisation.tuning_for(layer.name), quantisation.rounding or "nearest"
     tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
-    largest = _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio)
-    scale, exponent = largest * share, 0
+    scale = _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio)
+    exponent = 0
     if not layer.spiking:
-        untuned = largest / min(tuning.clip_ratio, 1.0)
+        untuned = scale / min(tuning.clip_ratio, 1.0)
         exponent, part = exponent_and_share(layer, registers, untuned)
         scale = scale * part
-    elif quantisation.thresholds is not None:
-        scale = share_thresholds(np.asarray(scale), tuned.threshold, quantisation.thresholds)
     one = 1 << (registers.mantissa_shift + exponent)
 
     def weights(values: Floats, scale: Scale) -> Integers:
@@ -310,7 +243,7 @@ def quantise(
         f"{registers.threshold_max} mantissas) or bias. Scale the weights up, or the others down."
         if layer.spiking
         else "beside its bias, or beside what its registers would have to hold. Choose a faster "
-        "leak, or headroom 'none'."
+        "leak."
     )
     check_weights_left(layer, quantised.synapses, beside)
     return quantised
@@ -411,13 +344,8 @@ def bounds(
 ) -> Bounds:
     """Bounds of a layer that starts from 0; timesteps None is a state that is never reset."""
     one = float(1 << registers.mantissa_shift)
-    weights = [(s, s.weight.astype(np.int64)) for s in layer.synapses]
-    positive = sum(
-        (s.over_axons(w.clip(min=0), np.add) for s, w in weights), layer.bias.clip(min=0)
-    )
-    negative = sum(
-        (s.over_axons(-w.clip(max=0), np.add) for s, w in weights), -layer.bias.clip(max=0)
-    )
+    positive, negative, _ = weight_sums(layer)
+    positive, negative = positive + layer.bias.clip(min=0), negative - layer.bias.clip(max=0)
     raised, above = _leaky(layer, registers, positive * one, layer.voltage_bias, timesteps)
     lowered, below = _leaky(layer, registers, negative * one, -layer.voltage_bias, timesteps)
     if network.convention.reset == "zero":
@@ -481,73 +409,3 @@ def _limit_of_leak(drive: Floats, factor: Floats) -> Floats:
     """Limit of x = factor x + drive: drive / (1 - factor), and infinite without a leak."""
     unbounded = np.where(drive > 0, np.inf, 0.0)
     return np.divide(drive, 1 - factor, out=unbounded, where=factor < 1)
-
-
-# rounding may lift a bound a little over its register again; each round takes away the excess
-_HEADROOM_ROUNDS = 50
-_SLACK = 1e-3
-
-
-def with_headroom(
-    registers: CubaRegisters, network: Network, quantisation: Quantisation, timesteps: int | None
-) -> list[Layer]:
-    """The float layers of a network, quantised so that nothing can overflow.
-
-    timesteps: T of an inference; None is a state that is never reset.
-    """
-    return [
-        _quantise_proven(network, a, registers, quantisation, timesteps) for a in network.layers
-    ]
-
-
-def _quantise_proven(
-    network: Network,
-    layer: Layer,
-    registers: CubaRegisters,
-    quantisation: Quantisation,
-    timesteps: int | None,
-) -> Layer:
-    each = quantisation.granularity == "channel"
-    if each and any(s.window is not None for s in layer.synapses):
-        raise RuleError(
-            f"rule headroom: layer {layer.name!r}: neurons that share a kernel cannot have a scale "
-            "that is proven for each. Choose granularity 'layer', or headroom 'none'."
-        )
-    share = np.ones(layer.size if each else 1)
-    for _ in range(_HEADROOM_ROUNDS):
-        quantised = quantise(layer, registers, quantisation, share if each else float(share[0]))
-        parts = [_select_neuron(quantised, n) for n in range(layer.size)] if each else [quantised]
-        ratios = []
-        for part in parts:
-            # the largest possible number over the largest that fits its register
-            worst = bounds(network, part, registers, timesteps)
-            push = worst.current + magnitude(part.voltage_bias)
-            of_registers = (
-                worst.drive / registers.accumulator.limit,
-                worst.current / registers.current.limit,
-                push / registers.push.limit,
-                max(worst.above, worst.below) / registers.membrane.limit,
-            )
-            ratios.append(max(of_registers))
-        over = np.array(ratios)
-        if (over <= 1).all():
-            return quantised
-        if not np.isfinite(over).all():
-            break
-        share = np.where(over > 1, share / over * (1 - _SLACK), share)
-    raise RuleError(
-        f"rule headroom: layer {layer.name!r}: no scale keeps its membranes from overflowing for "
-        "ever, since they do not leak. Choose headroom 'none', or calibrate it on recorded inputs."
-    )
-
-
-def _select_neuron(layer: Layer, n: int) -> Layer:
-    """The layer with one of its neurons."""
-    return replace(
-        layer,
-        synapses=tuple(replace(s, weight=s.weight[:, n : n + 1]) for s in layer.synapses),
-        **{
-            name: getattr(layer, name)[n : n + 1]
-            for name in ("bias", "voltage_bias", "threshold", "current_decay", "membrane_decay")
-        },
-    )

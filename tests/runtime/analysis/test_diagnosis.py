@@ -9,11 +9,10 @@ import pytest
 from spikedeploy.runtime.analysis.drift import activity, diagnose, drift
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import Quantisation
+from spikedeploy.runtime.chips.quantisation import Quantisation, Tuning
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from tests.networks import chain, cuba
-from tests.runtime.families.test_headroom import crowd
+from tests.networks import chain, crowd, cuba
 
 
 def layers(*weights, threshold=0.5, alpha=0.0, beta=0.5):
@@ -82,11 +81,13 @@ def test_a_leak_that_rounds_up_is_named():
     assert (found.health, found.cause) == ("dead", "decays")
 
 
-def test_an_overflow_that_silences_is_named_and_headroom_cures_it():
+def test_an_overflow_that_silences_is_named_and_a_smaller_scale_cures_it():
     found = diagnosed(crowd())["n2"]
     assert (found.health, found.cause) == ("dead", "states")
     assert "39 numbers overflow" in found.detail
-    cured = diagnosed(crowd(), quantisation=Quantisation(headroom="proven"))["n2"]
+    cured = diagnosed(crowd(), quantisation=Quantisation(tuned={"n2": Tuning(clip_ratio=0.8)}))[
+        "n2"
+    ]
     assert (cured.health, cured.cause) == ("saturated", "policy")
 
 

@@ -238,5 +238,3 @@ def test_neurons_of_a_channel_share_a_scale():
     assert len(np.unique(layer.scale)) == 8
     largest = np.abs(layer.synapses[0].weight).max(axis=(1, 2, 3))
     assert (largest >= on.arithmetic.weight_max - on.arithmetic.weight_step).all()
-    with pytest.raises(RuleError, match="share a kernel cannot have a scale"):
-        compile_program(artifact, on, Quantisation(granularity="channel", headroom="proven"))

@@ -8,7 +8,6 @@ import pytest
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.chips.layer import LayerState
-from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.ledger import EVENTS
@@ -131,11 +130,6 @@ def test_compile_says_what_sigma_can_hold():
     (found,) = (remark for remark in program.remarks if "sigma-delta layer 'sd1'" in remark)
     assert "hold 513 net spikes" in found
     assert not any("drift" in remark for remark in program.remarks)
-
-
-def test_a_proven_headroom_is_refused():
-    with pytest.raises(RuleError, match="rule headroom"):
-        compile_program(one_neuron(), chip("loihi2"), Quantisation(headroom="proven"))
 
 
 def test_the_host_multiplies_weights_by_graded_spikes():

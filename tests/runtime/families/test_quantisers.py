@@ -223,10 +223,9 @@ def test_a_weight_with_an_exponent_counts_so_many_times_rounded_down(rule, expon
 
 def test_the_exponent_of_a_readout_is_that_of_its_whole_scale():
     layer = floats(np.ones((40, 1)), threshold=np.inf, bias=0.5, alpha=0.0, beta=0.25)
-    # 40 that arrive at once leave an exponent of 1, also where headroom asks for half of the scale
-    for share, weight, bias in ((1.0, 255, 128), (0.5, 128, 64)):
-        found = quantise(replace(layer, spiking=False), LOIHI1, share=share)
-        check(found, {"weight": [[weight << 1]] * 40, "bias": [bias << 1]})
+    # 40 that arrive at once leave an exponent of 1
+    found = quantise(replace(layer, spiking=False), LOIHI1)
+    check(found, {"weight": [[255 << 1]] * 40, "bias": [128 << 1]})
 
 
 def test_the_smallest_threshold_of_sigma_delta_neurons_is_one_state_unit():

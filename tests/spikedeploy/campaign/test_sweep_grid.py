@@ -73,7 +73,7 @@ def test_axes_take_one_value_or_many(tmp_path):
         ("quantisation = 1", "quantisation: .* dictionary"),
         ("quantisation.tuned = 1", "unknown key of quantisation 'tuned': known: granularity"),
         ("quantisation.granularity = 'all'", "granularity: .* got 'all'"),
-        ("quantisation.thresholds = 'x'", "thresholds: .* got 'x'"),
+        ("quantisation.weight_shift = 'x'", "weight_shift: .* got 'x'"),
         ("metrics = 'speed'", "name:mean"),
         ("name = '../up'", "name of a folder"),
         ("env = ", "not valid TOML"),

@@ -22,8 +22,7 @@ from spikedeploy.runtime.chips.quantisation import UNTUNED, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ObservationError
 from tests import toy_stroll_env
-from tests.networks import event_driven, popsan
-from tests.runtime.families.test_headroom import crowd
+from tests.networks import crowd, event_driven, popsan
 
 
 @pytest.fixture
@@ -71,8 +70,6 @@ def test_a_dead_layer_is_named_and_calibration_wakes_it(command, tmp_path):
     found = json.loads(command(*words, "--calibrate")[1])
     assert (found["layers"][0]["saturations"], found["first"]) == (0, None)
     assert found["calibrated"] == "all.npy"
-    found = json.loads(command(*words, "--headroom", "proven")[1])
-    assert (found["layers"][0]["saturations"], found["first"]) == (0, None)
 
 
 def test_calibration_and_measurement_are_on_different_inferences(command, stroll):
@@ -207,9 +204,7 @@ def test_run_and_compare_take_the_same_quantisation_and_report_it(command, strol
     assert plain["rows"][0]["returns"] != channel["rows"][0]["returns"]
     assert "on chips" not in plain["conventions"]["popsan"]
     said = channel["conventions"]["popsan"]
-    assert said.endswith(
-        "; on chips a scale for each channel, the chip's own rounding, headroom 'none'"
-    )
+    assert said.endswith("; on chips a scale for each channel, the chip's own rounding")
     words = ("compare", "stroll", "stroll/popsan", "--episodes", 1, "--workers", 1, "--json")
     found = json.loads(command(*words, "--quantise", "channel")[1])
     (on_chip,) = [row for row in found["rows"] if row["chip"] == "loihi1"]
