@@ -16,6 +16,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
+
 Array = Any  # the compiler sees the types
 Number = Any
 
@@ -45,6 +47,10 @@ Number = Any
 NEURONS, REMEMBERS, RASTER, LENGTHS = range(4)
 # entry of Constants.rules: spikes of an input channel in a timestep, at most
 INPUT_MOST = 0
+# a REGISTER takes so many entries of Constants.rules: what happens to a number that does not fit,
+# bits, and the least and the largest number where it stops there (CLAMP)
+REGISTER = 4
+CLAMP, WRAP, WRAP_ONCE = range(3)
 
 
 class Constants(NamedTuple):
@@ -344,6 +350,19 @@ def count_active(membranes: Array, currents: Array, biases: Array) -> Number:
     for n in range(len(biases)):
         active += (membranes[n] != 0) | (currents[n] != 0) | (biases[n] != 0)
     return active
+
+
+@jit
+def fit(x: Number, rules: Array, at: Number) -> Number:
+    """Equal Register.fit, for the register that begins at an entry of the rules."""
+    if rules[at] == CLAMP:
+        return min(max(x, rules[at + 2]), rules[at + 3])
+    half = np.int64(1) << (rules[at + 1] - 1)
+    if rules[at] == WRAP:
+        return (x + half) % (2 * half) - half
+    if x > half:
+        return x - 2 * half
+    return x + 2 * half if x <= -half else x
 
 
 @jit

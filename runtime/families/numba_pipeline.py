@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from spikedeploy.runtime.chips.layer import Layer, Synapses
+from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.copies import NotCopyable
@@ -31,6 +32,25 @@ Numbers = NDArray[Any]
 Delays = tuple[tuple[int, ...], ...]
 
 EXACT_INT16 = (1 << 15) - 1  # largest whole number that 16 bits hold
+
+
+def edges(register: Register) -> tuple[int, int] | None:
+    """Least and largest number of a register that holds these for any beyond; None of others."""
+    none = np.iinfo(np.int64)
+    if register.overflow == "none" and register.between is None:
+        return int(none.min), int(none.max)
+    if register.overflow not in ("clip", "saturate"):
+        return None
+    low, high = register.fit(np.array([none.min >> 1, none.max >> 1])).tolist()
+    return low, high
+
+
+def describe_register(register: Register) -> tuple[int, int, int, int]:
+    """Entries of Constants.rules, as `fit` of the frame reads them."""
+    if (held := edges(register)) is not None:
+        return frame.CLAMP, register.bits, *held
+    wraps = frame.WRAP if register.overflow == "wrap" else frame.WRAP_ONCE
+    return wraps, register.bits, 0, 0
 
 
 class FamilyNumbers(NamedTuple):

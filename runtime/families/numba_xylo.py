@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Layer
-from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.families import numba_frame as frame
 from spikedeploy.runtime.families.numba_frame import Array, Number
@@ -18,6 +17,7 @@ from spikedeploy.runtime.families.numba_pipeline import (
     EXACT_INT16,
     FamilyNumbers,
     NumbaPipeline,
+    edges,
     largest_weight,
 )
 from spikedeploy.runtime.families.xylo import XyloArithmetic
@@ -168,7 +168,7 @@ class XyloPipeline(NumbaPipeline):
     def numbers(program: Program) -> FamilyNumbers:
         """Return dashes, thresholds and biases, and the edges of states."""
         rules, layers = cast("XyloArithmetic", program.chip.arithmetic), program.layers
-        low, high = _edges(rules.state) or (0, 0)
+        low, high = edges(rules.state) or (0, 0)
         (turned,) = rules.leak.fit(np.array([-low])).tolist()
         largest = largest_weight(layers)
         apart = {program.output} if program.output_apart else set()
@@ -193,8 +193,8 @@ class XyloPipeline(NumbaPipeline):
     def obstacle(program: Program) -> str | None:
         """The reason why it cannot compute the program; None where it can."""
         rules = cast("XyloArithmetic", program.chip.arithmetic)
-        edges = _edges(rules.state)
-        if edges is None or rules.state.bits > _WIDEST or rules.leak.limit < edges[1]:
+        held = edges(rules.state)
+        if held is None or rules.state.bits > _WIDEST or rules.leak.limit < held[1]:
             return (
                 f"chip {program.chip.name!r} has registers that the compiled kernels do not know: "
                 "states that do not saturate, or a leak that is narrower than they are."
@@ -216,11 +216,3 @@ def _numbers(layer: Layer) -> Array:
     threshold = np.minimum(layer.threshold, np.iinfo(np.int32).max)
     each = (layer.current_decay[0], layer.membrane_decay, threshold, layer.voltage_bias)
     return np.stack([np.broadcast_to(values, (layer.size,)) for values in each]).astype(np.int32)
-
-
-def _edges(register: Register) -> tuple[int, int] | None:
-    """Least and largest number that it holds; None where it does not stop there."""
-    if register.overflow not in ("saturate", "clip") or register.between is not None:
-        return None
-    low, high = register.fit(np.array([-(1 << 40), 1 << 40])).tolist()
-    return low, high

@@ -46,7 +46,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
 
     backends: ClassVar[Mapping[str, str]] = {
         "numpy": "spikedeploy.runtime.families.cuba.numpy_backend:NumpyPipeline",
-        "numba": "spikedeploy.runtime.families.cuba.numba_integers:CubaPipeline",
+        "numba": "spikedeploy.runtime.families.cuba.numba_steps:CubaPipeline",
     }
     spikes_max: ClassVar[int] = 1
     choices: ClassVar[tuple[str, ...]] = ("granularity", "rounding", "tuned")
@@ -355,7 +355,7 @@ class CubaFloat32(ArithmeticDefaults):
     """
 
     backends: ClassVar[Mapping[str, str]] = {
-        "numba": "spikedeploy.runtime.families.cuba.numba_floats:FloatPipeline",
+        "numba": "spikedeploy.runtime.families.cuba.numba_steps:FloatPipeline",
     }
     weight_bits: int
     spikes_max: ClassVar[int] = 1

@@ -28,6 +28,7 @@ from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
     process_queue,
     update_by_events,
 )
+from spikedeploy.runtime.families.numba_pipeline import edges
 
 # events of the input whose spikes are computed at once
 _PART = 1 << 12
@@ -156,7 +157,7 @@ class EventPipeline(InterpreterBackend):
         arithmetic = program.chip.arithmetic
         if not isinstance(arithmetic, IntegrateAndFire) or not arithmetic.by_events:
             return f"chip {program.chip.name!r} does not go event by event."
-        if numba_events.edges(arithmetic.membrane) is None:
+        if edges(arithmetic.membrane) is None:
             return f"chip {program.chip.name!r} has a membrane that neither clips nor saturates."
         if find_spec("numba") is None:
             return "Numba is not installed. In the checkout of spikedeploy: pip install '.[fast]'."

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.layer import Numbers, Synapses
-from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.families import numba_frame as frame
 from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
     EventLayer,
@@ -17,7 +16,7 @@ from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
     window_of,
 )
 from spikedeploy.runtime.families.numba_frame import Array, Number
-from spikedeploy.runtime.families.numba_pipeline import describe
+from spikedeploy.runtime.families.numba_pipeline import describe, edges
 
 # entries of Arrays.rules
 LOW, HIGH, SINGLE, SUBTRACT, MOST, CHANNELS_FIRST, EACH = range(7)
@@ -43,17 +42,6 @@ class Arrays(NamedTuple):
     threshold: Array
     floor: Array
     rules: Array
-
-
-def edges(register: Register) -> tuple[int, int] | None:
-    """Least and largest number of a register that holds these for any beyond; None of others."""
-    none = np.iinfo(np.int64)
-    if register.overflow == "none" and register.between is None:
-        return int(none.min), int(none.max)
-    if register.overflow not in ("clip", "saturate"):
-        return None
-    low, high = register.fit(np.array([none.min >> 1, none.max >> 1])).tolist()
-    return low, high
 
 
 @lru_cache(maxsize=64)

@@ -20,12 +20,13 @@ from spikedeploy.runtime.families.integrate_and_fire.neurons import (
     IntegrateAndFireRules,
     floor_of,
 )
-from spikedeploy.runtime.families.integrate_and_fire.numba_events import edges
 from spikedeploy.runtime.families.numba_frame import Array, Number
 from spikedeploy.runtime.families.numba_pipeline import (
     EXACT_INT16,
     FamilyNumbers,
     NumbaPipeline,
+    describe_register,
+    edges,
     largest_weight,
 )
 
@@ -34,17 +35,13 @@ from spikedeploy.runtime.families.numba_pipeline import (
 # reset
 AXON_BIASED, BIASED, ALIKE = range(len(frame.LAYER), len(frame.LAYER) + 3)
 # entries of Constants.rules, as in IntegrateAndFireRules; of spikes AT_ONCE where the threshold is
-# looked at once; a register holds LOWEST to HIGHEST
+# looked at once; the four entries of the membrane, as in frame.fit, are the last
 (
     LEAK, LEAKS_LAST, BY_EVENT, CHECKS_EVENTS, SPIKES_MAX, AT_ONCE, RESETS_LATE, SUBTRACT,
     OVERFLOW, BITS, LOWEST, HIGHEST,
 ) = range(1, 13)  # fmt: skip
 LEAKS = {"none": 0, "linear": 1, "crossing": 2, "shift": 3}
 NONE, LINEAR, CROSSING, SHIFT = LEAKS.values()
-# what a register does when a number does not fit
-OVERFLOWS = {"none": 0, "clip": 1, "saturate": 2, "wrap": 3, "wrap-once": 4}
-WRAP, WRAP_ONCE = OVERFLOWS["wrap"], OVERFLOWS["wrap-once"]
-
 _NARROW_BITS = 31  # of a membrane that int32 holds, with what the host may read of it
 
 
@@ -135,7 +132,7 @@ def _add_sums(
     if about[BIASED]:
         for n in range(size):
             sums[n] += neurons.push[n]
-    if about[ALIKE] and rules[OVERFLOW] < WRAP and not rules[LEAKS_LAST]:
+    if about[ALIKE] and rules[OVERFLOW] == frame.CLAMP and not rules[LEAKS_LAST]:
         # one pass over memory, of which large layers are a matter
         floor, fires = neurons.floor[0], neurons.fires[0]
         for n in range(size):
@@ -146,7 +143,7 @@ def _add_sums(
             after[n] = kept
             spikes[n] = kept >= fires
         return lost
-    if rules[OVERFLOW] < WRAP:
+    if rules[OVERFLOW] == frame.CLAMP:
         for n in range(size):
             raised = start[n] + sums[n]
             held = min(max(raised, lowest), highest)
@@ -155,7 +152,7 @@ def _add_sums(
     else:
         for n in range(size):
             raised = start[n] + sums[n]
-            held = _hold(rules, raised)
+            held = frame.fit(raised, rules, OVERFLOW)
             lost += held != raised
             after[n] = max(held, neurons.floor[n])
     if rules[LEAKS_LAST]:
@@ -230,7 +227,7 @@ def _add_events(
             for _ in range(counts[axon]):
                 if wire[frame.IS_WINDOW]:
                     lost += _arrive_through(constants, wire, axon, neurons, after, spikes, arrived)
-                elif rules[OVERFLOW] < WRAP:
+                elif rules[OVERFLOW] == frame.CLAMP:
                     row_of = weights[at : at + size]
                     lost += _arrive_row(
                         rules, neurons, about[ALIKE], row_of, after, memory.wide[1, :size]
@@ -239,7 +236,7 @@ def _add_events(
                     for n in range(size):
                         weight = weights[at + n]
                         lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
-            if not wire[frame.IS_WINDOW] and rules[OVERFLOW] < WRAP and call.counting:
+            if not wire[frame.IS_WINDOW] and rules[OVERFLOW] == frame.CLAMP and call.counting:
                 for n in range(size):
                     arrived[n] |= weights[at + n] != 0
         lost += _sum_spikes(rules, memory.wide[1, :size], spikes)
@@ -361,7 +358,7 @@ def _arrive(
 ) -> Number:
     """An event that reaches a neuron; how many numbers did not fit."""
     raised = membranes[n] + weight
-    held = _hold(rules, raised)
+    held = frame.fit(raised, rules, OVERFLOW)
     membranes[n] = max(held, neurons.floor[n])
     arrived[n] |= weight != 0
     lost = np.int64(held != raised)
@@ -399,19 +396,6 @@ def _after_spike(rules: Array, neurons: Array, n: int, v: Number) -> Number:
     return v - neurons.threshold[n] if rules[SUBTRACT] else neurons.reset[n]
 
 
-@frame.jit
-def _hold(rules: Array, x: Number) -> Number:
-    """Equal Register.fit."""
-    if rules[OVERFLOW] < WRAP:
-        return min(max(x, rules[LOWEST]), rules[HIGHEST])
-    half = np.int64(1) << (rules[BITS] - 1)
-    if rules[OVERFLOW] == WRAP:
-        return (x + half) % (2 * half) - half
-    if x > half:
-        return x - 2 * half
-    return x + 2 * half if x <= -half else x
-
-
 _run = frame.kernel(_step)
 
 
@@ -426,7 +410,6 @@ class IntegrateAndFirePipeline(NumbaPipeline):
         """Return the rules of the chip, and the numbers of neurons."""
         rules, layers = cast("IntegrateAndFire", program.chip.arithmetic), program.layers
         numbers = [_numbers(rules, program.convention, a) for a in layers]
-        lowest, highest = edges(rules.membrane) or (0, 0)
         subtract = program.convention.reset == "subtract"
         several = rules.checks == "step" and (subtract or program.convention.spikes == "many")
         neurons = _narrowed(np.concatenate(numbers, axis=1), program, rules)
@@ -447,10 +430,7 @@ class IntegrateAndFirePipeline(NumbaPipeline):
                 rules.spikes_max if several else 1,
                 rules.reset_at == "leak",
                 subtract,
-                OVERFLOWS[rules.membrane.overflow],
-                rules.membrane.bits,
-                lowest,
-                highest,
+                *describe_register(rules.membrane),
             ],
             neurons=neurons,
         )

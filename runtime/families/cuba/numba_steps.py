@@ -1,8 +1,11 @@
-"""The Numba backend of CuBa-LIF layers with integers, equal to `update` of the specification.
+"""The Numba backends of CuBa-LIF layers, equal to `update` and `float_update` of the specification.
 
-A timestep is tried in float64, which holds 24-bit states and their products with 12-bit decays
-exactly. Where a number does not fit its register, the same timestep is computed again in int64 by
-the specification, from the state before it, which is still there.
+Integers: a timestep is tried in float64, which holds 24-bit states and their products with 12-bit
+decays exactly. Where a number does not fit its register, the same timestep is computed again in
+int64 by the specification, from the state before it, which is still there.
+
+Floats: weights are whole numbers, whose sums float32 holds exactly below 2**24; everything else is
+computed in the order of the specification, which the compiler keeps.
 """
 
 from typing import ClassVar, NamedTuple, cast
@@ -10,7 +13,8 @@ from typing import ClassVar, NamedTuple, cast
 import numpy as np
 from numpy.typing import DTypeLike
 
-from spikedeploy.runtime.chips.registers import Register, magnitude
+from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import aligned_copy
 from spikedeploy.runtime.families import numba_frame as frame
@@ -21,39 +25,45 @@ from spikedeploy.runtime.families.numba_pipeline import (
     EXACT_INT16,
     FamilyNumbers,
     NumbaPipeline,
+    describe_register,
+    edges,
     largest_weight,
 )
 
 # columns of Constants.layers behind those of all families; sums of a layer that IS_NARROW fit 16
 # bits, one IN_INTEGERS is always computed in int64, of one with NO_CURRENT nothing stays of a
-# current, and of one that is PROVEN no number can be too large
-IS_NARROW, IN_INTEGERS, NO_CURRENT, PROVEN = range(len(frame.LAYER), len(frame.LAYER) + 4)
-# entries of Constants.rules; what float64 may hold of a current and of a membrane; from REGISTERS
-# on what accumulator, current and membrane do where a number does not fit, and their bits
-SHIFT, DECAY_BITS, REFRACTORY, SUBTRACT, ROOM_CURRENT, ROOM_MEMBRANE, REGISTERS = range(1, 8)
+# current, of one that is PROVEN no number can be too large, and AXON_BIASED are floats
+IS_NARROW, IN_INTEGERS, NO_CURRENT, PROVEN, AXON_BIASED = range(
+    len(frame.LAYER), len(frame.LAYER) + 5
+)
+# entries of Constants.rules; whether decays round toward zero; what float64 may hold of a current
+# and of a membrane; from here on the registers, as in frame.fit
+SHIFT, ROUNDS, DECAY_BITS, REFRACTORY, SUBTRACT, ROOM_CURRENT, ROOM_MEMBRANE = range(1, 8)
+ACCUMULATOR, CURRENT, MEMBRANE = range(8, 8 + 3 * frame.REGISTER, frame.REGISTER)
 # rows of Constants.neurons, with decays in 1 / 2**decay_bits, and of Constants.floats, as fractions
-CURRENT_DECAY, MEMBRANE_DECAY, THRESHOLD, VOLTAGE_BIAS = range(4)
-# what a register does when a number does not fit
-OVERFLOWS = {"none": 0, "wrap": 1, "wrap-once": 2, "clip": 3}
-NONE, WRAP, WRAP_ONCE, CLIP = OVERFLOWS.values()
+# and in the numbers of the states
+CURRENT_DECAY, MEMBRANE_DECAY, THRESHOLD, VOLTAGE_BIAS, AXON_BIAS = range(5)
 
 _EXACT_INT8 = (1 << 7) - 1
+_EXACT_FLOAT32 = 1 << 24
 # bits of every whole number that float64 holds
 _EXACT_BITS = 53
 
 
 class Neurons(NamedTuple):
-    """The numbers of a layer that a timestep in float64 needs."""
+    """The numbers of a layer that a timestep in floats needs."""
 
     decay_current: Array
     decay_membrane: Array
     threshold: Array
     bias: Array
+    axon_bias: Array
     unit: Number
     room: Number
     room_membrane: Number
     subtract: Number
     watched: Number
+    biased: Number
 
 
 @frame.jit
@@ -102,17 +112,21 @@ def _advance(
         floats[MEMBRANE_DECAY, first : first + size],
         floats[THRESHOLD, first : first + size],
         floats[VOLTAGE_BIAS, first : first + size],
-        np.float64(1 << rules[SHIFT]),
+        floats[AXON_BIAS, first : first + size],
+        after.dtype.type(1 << rules[SHIFT]),
         np.float64(rules[ROOM_CURRENT]),
         np.float64(rules[ROOM_MEMBRANE]),
         rules[SUBTRACT] == 1,
         about[PROVEN] == 0,
+        about[AXON_BIASED] == 1 and frame.has_bias(about, row, call.timesteps),
     )
     in_integers = about[IN_INTEGERS] == 1
-    if not in_integers and about[NO_CURRENT]:
-        in_integers = _float_step(neurons, sums, before, after, spikes, False)
+    if not rules[ROUNDS]:
+        _float_step(neurons, sums, before, after, spikes, True, False)
+    elif not in_integers and about[NO_CURRENT]:
+        in_integers = _float_step(neurons, sums, before, after, spikes, False, True)
     elif not in_integers:
-        in_integers = _float_step(neurons, sums, before, after, spikes, True)
+        in_integers = _float_step(neurons, sums, before, after, spikes, True, True)
     if not in_integers:
         return 0
     refractory = memory.refractory[first : first + size]
@@ -121,27 +135,38 @@ def _advance(
 
 @frame.jit
 def _float_step(
-    neurons: Array, sums: Array, before: Array, after: Array, spikes: Array, has_current: bool
+    neurons: Array,
+    sums: Array,
+    before: Array,
+    after: Array,
+    spikes: Array,
+    has_current: bool,
+    rounds: bool,
 ) -> bool:
-    """A timestep in float64; whether a number was too large for it.
+    """A timestep in the floats of the states; whether a number was too large for them.
 
     has_current: whether anything stays of a current; a constant at every call, so that each has a
         loop of its own.
+    rounds: whether decays round toward zero, likewise.
     """
     (
-        decay_current, decay_membrane, threshold, bias, unit, room, room_membrane, subtract,
-        watched,
+        decay_current, decay_membrane, threshold, bias, axon_bias, unit, room, room_membrane,
+        subtract, watched, biased,
     ) = neurons  # fmt: skip
-    size, too_large = len(spikes), 0
+    size, too_large, number = len(spikes), 0, after.dtype.type
     for n in range(size):
-        current = sums[n] * unit
+        current = number(sums[n]) * unit
+        if biased and not rounds:
+            current += axon_bias[n]
         if has_current:
-            current += np.trunc(before[n] * decay_current[n])
-        membrane = np.trunc(before[size + n] * decay_membrane[n]) + current + bias[n]
+            kept = before[n] * decay_current[n]
+            current += np.trunc(kept) if rounds else kept
+        kept = before[size + n] * decay_membrane[n]
+        membrane = (np.trunc(kept) if rounds else kept) + current + bias[n]
         if watched:
             too_large |= (abs(current) > room) | (abs(membrane) > room_membrane)
         fired = membrane > threshold[n]
-        rest = membrane - threshold[n] if subtract else 0.0
+        rest = membrane - threshold[n] if subtract else number(0)
         after[n] = current
         after[size + n] = rest if fired else membrane
         spikes[n] = fired
@@ -165,13 +190,13 @@ def _integer_step(
         bias, threshold = whole[VOLTAGE_BIAS, first + n], whole[THRESHOLD, first + n]
         was_current, was_membrane = np.int64(before[n]), np.int64(before[size + n])
         wide = np.int64(sums[n]) << rules[SHIFT]
-        drive = _fit(wide, rules, 0)
+        drive = frame.fit(wide, rules, ACCUMULATOR)
         lost += drive != wide
         wide = _decay(was_current, whole[CURRENT_DECAY, first + n], bits) + drive
-        current = _fit(wide, rules, 1)
+        current = frame.fit(wide, rules, CURRENT)
         lost += current != wide
         wide = _decay(was_membrane, whole[MEMBRANE_DECAY, first + n], bits) + current + bias
-        membrane = _fit(wide, rules, 2)
+        membrane = frame.fit(wide, rules, MEMBRANE)
         lost += membrane != wide
         held = refractory[n] > 0
         fired = membrane > threshold and not held
@@ -192,22 +217,6 @@ def _decay(x: Number, factor: Number, bits: Number) -> Number:
     return left if x >= 0 else -left
 
 
-@frame.jit
-def _fit(x: Number, rules: Array, register: int) -> Number:
-    """Equal Register.fit."""
-    overflow, bits = rules[REGISTERS + 2 * register], rules[REGISTERS + 2 * register + 1]
-    half = np.int64(1) << (bits - 1)
-    if overflow == WRAP:
-        return (x + half) % (2 * half) - half
-    if overflow == WRAP_ONCE:
-        if x > half:
-            return x - 2 * half
-        return x + 2 * half if x <= -half else x
-    if overflow == CLIP:
-        return min(max(x, 1 - half), half - 1)
-    return x
-
-
 _run = frame.kernel(_step)
 
 
@@ -225,12 +234,8 @@ class CubaPipeline(NumbaPipeline):
         # largest magnitude of three that are added, so that float64 decays their sum exactly
         exact = 1 << (_EXACT_BITS - 2 - fixed.decay_bits)
         rooms = [min(register_limit(each), exact) for each in (fixed.current, fixed.membrane)]
-        rows = [
-            np.stack([a.current_decay, a.membrane_decay, a.threshold, a.voltage_bias])
-            for a in layers
-        ]
-        whole = np.concatenate(rows, axis=1).astype(np.int64)
-        real = whole * np.array([[1 / fixed.decay_one]] * 2 + [[1.0]] * 2)
+        whole = np.concatenate([_rows(a, 0 * a.bias) for a in layers], axis=1).astype(np.int64)
+        real = whole * np.array([[1 / fixed.decay_one]] * 2 + [[1.0]] * 3)
         # in float32 a layer of 512 neurons fits the nearest cache
         single = aligned_copy(real, np.float32)
         limits = [bounds(program, layer, fixed, None) for layer in layers]
@@ -243,16 +248,19 @@ class CubaPipeline(NumbaPipeline):
             too_much |= max(limit.drive, bias) > exact
             proven = max(limit.current, limit.above, limit.below) <= min(rooms)
             is_narrow, in_integers = limit.partial <= EXACT_INT16, fixed.refractory > 1 or too_much
-            columns.append((is_narrow, in_integers, not layer.current_decay.any(), proven))
+            columns.append((is_narrow, in_integers, not layer.current_decay.any(), proven, False))
         largest = max(largest_weight(layers), max(a.partial for a in limits) >> 16)
         subtract = program.convention.reset == "subtract"
-        registers = [x for r in _registers(fixed) for x in (OVERFLOWS[r.overflow], r.bits)]
+        registers = (fixed.accumulator, fixed.current, fixed.membrane)
         return FamilyNumbers(
             columns=columns,
             weights=_weight_type(largest),
             states=np.float64,
             sums=(np.int16, np.int32) if largest <= EXACT_INT16 else (np.int64, np.int64),
-            rules=[shift, fixed.decay_bits, fixed.refractory, subtract, *rooms, *registers],
+            rules=[
+                *(shift, True, fixed.decay_bits, fixed.refractory, subtract, *rooms),
+                *(x for register in registers for x in describe_register(register)),
+            ],
             neurons=whole,
             floats=single if (single == real).all() else aligned_copy(real, np.float64),
         )
@@ -261,19 +269,62 @@ class CubaPipeline(NumbaPipeline):
     def obstacle(program: Program) -> str | None:
         """The reason why it cannot compute the program; None where it can."""
         fixed = cast("CubaFixedPoint", program.chip.arithmetic)
-        odd = any(r.overflow not in OVERFLOWS or r.between for r in _registers(fixed))
+        registers = fixed.accumulator, fixed.current, fixed.membrane
+        odd = any(r.between and edges(r) is None for r in registers)
         if odd or fixed.push.overflow != "none":
             return (
                 f"chip {program.chip.name!r} has a register that the compiled kernels do not know: "
-                "one that saturates, has a narrower range, or holds the push."
+                "one that wraps and has a narrower range, or holds the push."
             )
         return NumbaPipeline.obstacle(program)
+
+
+class FloatPipeline(NumbaPipeline):
+    """CuBa-LIF layers in float32 as a Backend."""
+
+    states_of_neuron: ClassVar[int] = 2
+    recorded: ClassVar[DTypeLike] = np.float32
+    kernel = staticmethod(_run)
+
+    @staticmethod
+    def numbers(program: Program) -> FamilyNumbers:
+        """Return decays, thresholds and biases in float32."""
+        floats = np.concatenate([_rows(a, a.bias) for a in program.layers], axis=1)
+        subtract = program.convention.reset == "subtract"
+        return FamilyNumbers(
+            columns=[(False, False, False, True, bool(a.bias.any())) for a in program.layers],
+            weights=np.int16,
+            states=np.float32,
+            sums=(np.int32, np.int32),
+            rules=[0, False, 0, 1, subtract, 0, 0, *[0] * 3 * frame.REGISTER],
+            neurons=np.zeros(floats.shape, np.int64),
+            floats=floats.astype(np.float32),
+        )
+
+    @staticmethod
+    def obstacle(program: Program) -> str | None:
+        """The reason why it cannot compute the program; None where it can."""
+        for layer in program.layers:
+            if layer.bias.any() and len(layer.synapses) > 1:
+                return (
+                    f"layer {layer.name!r}: its bias and spikes of several sources are added in "
+                    "float32 one after another, which only the interpreter supports."
+                )
+            fan_in = sum(s.shape[0] for s in layer.synapses)
+            if fan_in * largest_weight([layer]) >= _EXACT_FLOAT32:
+                return (
+                    f"layer {layer.name!r}: sums of its weights are beyond the whole numbers that "
+                    "float32 holds, and depend on their order."
+                )
+        return NumbaPipeline.obstacle(program)
+
+
+def _rows(layer: Layer, axon_bias: Array) -> Array:
+    """(5, N) of a layer, as in Constants.neurons and floats."""
+    each = (layer.current_decay, layer.membrane_decay, layer.threshold, layer.voltage_bias)
+    return np.stack([np.broadcast_to(a, (layer.size,)) for a in (*each, axon_bias)])
 
 
 def _weight_type(largest: int) -> DTypeLike:
     """The smallest that holds them, for fetching them takes longest."""
     return np.int8 if largest <= _EXACT_INT8 else np.int16 if largest <= EXACT_INT16 else np.int64
-
-
-def _registers(fixed: CubaFixedPoint) -> tuple[Register, Register, Register]:
-    return fixed.accumulator, fixed.current, fixed.membrane
