@@ -6,8 +6,9 @@ rounded to a few steps, or to nothing. The test is a trial: the layer is quantis
 remedy would have it, and named only if its weights then lose much less.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +30,13 @@ _BETTER = 3.0
 _LARGE = 10.0
 
 
-@dataclass(frozen=True)
-class _Large:
-    """The neuron, or source neuron, with the largest numbers, and how many times the others'."""
+class _Candidate(NamedTuple):
+    """A large number, and the layer and choices as its remedy would have them."""
 
-    place: int
-    times: float
-    what: str
+    found: str
+    remedy: str
+    layer: Layer
+    quantisation: Quantisation
 
 
 def outlier_remarks(
@@ -49,89 +50,71 @@ def outlier_remarks(
 
     before, after: the layers in floats, and as quantised.
     """
-    if not arithmetic.rounds:
-        return []
-    found = []
+    found: list[str] = []
     for place, (floats, integers) in enumerate(zip(before, after, strict=True)):
-        coarse = _median_error(arithmetic, floats, integers)
-        if coarse < _COARSE:
-            continue
-
-        def better(
-            layer: Layer, chosen: Quantisation = quantisation, at: int = place, was: float = coarse
-        ) -> bool:
-            """Return True if the weights of another layer lose much less than those of this one."""
-            tried = [*before[:at], layer, *before[at + 1 :]]
+        coarse = _median_error(arithmetic, floats, integers) if arithmetic.rounds else 0.0
+        for each in _candidates(arithmetic, floats, quantisation) if coarse >= _COARSE else ():
             try:
-                rounded = quantise(tried, chosen)[at]
+                tried = [*before[:place], each.layer, *before[place + 1 :]]
+                rounded = quantise(tried, each.quantisation)[place]
             except SpikedeployError:
-                return False
-            return _median_error(arithmetic, layer, rounded) * _BETTER <= was
-
-        remark = _by_neuron(arithmetic, floats, quantisation, better) or _by_axon(floats, better)
-        if remark:
-            found.append(
-                f"layer {floats.name!r}: {remark[0]}, so that rounding changes half of its weights "
-                f"by {min(coarse, 1):.0%} and more: {remark[1]}"
-            )
+                continue
+            if _median_error(arithmetic, each.layer, rounded) * _BETTER <= coarse:
+                found.append(
+                    f"layer {floats.name!r}: {each.found}, so that rounding changes half of its "
+                    f"weights by {min(coarse, 1):.0%} and more: {each.remedy}"
+                )
+                break
     return found
 
 
-def _by_neuron(
-    arithmetic: Arithmetic,
-    layer: Layer,
-    quantisation: Quantisation,
-    better: Callable[..., bool],
-) -> tuple[str, str] | None:
-    """The large neuron and the remedy; None where there is none, or the remedy is none."""
+def _candidates(
+    arithmetic: Arithmetic, layer: Layer, quantisation: Quantisation
+) -> Iterator[_Candidate]:
+    """The neuron with large numbers, and source neurons with large weights."""
     fills = _fills(arithmetic, layer)
-    largest = max(fills, key=lambda what: float(fills[what].max()))
     reach = np.max(list(fills.values()), axis=0)
-    large = _largest(reach, f"the largest {largest}")
-    if large is None:
-        return None
-    said = f"{large.what} is {large.times:.3g} x the others', in neuron {large.place}"
-    if "granularity" in arithmetic.choices and quantisation.granularity == "layer":
-        if better(layer, replace(quantisation, granularity="channel")):
-            return said, "--quantise channel"
-    elif quantisation.granularity == "layer" and better(_divided(layer, reach)):
-        return said, (
-            f"divide the neuron's weights, bias and threshold by {large.times:.3g}, which changes "
-            "nothing in float"
-        )
-    return None
-
-
-def _by_axon(layer: Layer, better: Callable[..., bool]) -> tuple[str, str] | None:
-    """The source neuron whose weights are large, and the remedy; or None."""
+    if quantisation.granularity == "layer" and (large := _largest(reach)):
+        (neuron, times), largest = large, max(fills, key=lambda what: float(fills[what].max()))
+        found = f"the largest {largest} is {times:.3g} x the others', in neuron {neuron}"
+        if "granularity" in arithmetic.choices:
+            channel = replace(quantisation, granularity="channel")
+            yield _Candidate(found, "--quantise channel", layer, channel)
+        else:
+            remedy = (
+                f"divide the neuron's weights, bias and threshold by {times:.3g}, which changes "
+                "nothing in float"
+            )
+            yield _Candidate(found, remedy, _divided(layer, reach), quantisation)
     for k, synapses in enumerate(layer.synapses):
-        axis = (0, 2, 3) if synapses.window is not None else 1
+        axis, shape, of = (1, (-1, 1), "number")
+        if synapses.window is not None:
+            axis, shape, of = ((0, 2, 3), (1, -1, 1, 1), "channel")
         reach = np.abs(synapses.weight).max(axis=axis)
-        if (large := _largest(reach, "the largest weight")) is None:
+        if (large := _largest(reach)) is None:
             continue
         usual = float(np.median(reach[reach > 0]))
         factors = np.where(reach > _LARGE * usual, usual / np.maximum(reach, usual), 1.0)
-        shape = (1, -1, 1, 1) if synapses.window is not None else (-1, 1)
         less = replace(synapses, weight=synapses.weight * factors.reshape(shape))
         others = (*layer.synapses[:k], less, *layer.synapses[k + 1 :])
-        if better(replace(layer, synapses=others)):
-            of = "channel" if synapses.window is not None else "number"
-            said = f"{large.what} is {large.times:.3g} x the others', from {synapses.source!r}"
-            return f"{said} {of} {large.place}", (
-                "make its weights smaller and its spikes more, or give it several inputs; no "
-                "scale of the chip helps all of its targets"
-            )
-    return None
+        source = f"from {synapses.source!r} {of} {large[0]}"
+        yield _Candidate(
+            f"the largest weight is {large[1]:.3g} x the others', {source}",
+            "make its weights smaller and its spikes more, or give it several inputs; no scale of "
+            "the chip helps all of its targets",
+            replace(layer, synapses=others),
+            quantisation,
+        )
 
 
-def _largest(reach: Floats, what: str) -> _Large | None:
-    """The largest of several, where it is many times the median of the others that are not 0."""
+def _largest(reach: Floats) -> tuple[int, float] | None:
+    """Place of a number that is many times the median of the others but 0, and how many."""
     place = int(reach.argmax())
     others = np.delete(reach, place)
     others = others[others > 0]
     if not others.size or reach[place] < _LARGE * (usual := float(np.median(others))):
         return None
-    return _Large(place, float(reach[place]) / usual, what)
+    return place, float(reach[place]) / usual
 
 
 def _fills(arithmetic: Arithmetic, layer: Layer) -> dict[str, Floats]:

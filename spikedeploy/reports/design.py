@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from spikedeploy.console import print_text
@@ -12,7 +11,6 @@ from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
 from spikedeploy.runtime.chips.chip import Limits
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.mapping import (
-    CoreMapping,
     Placement,
     mapping_utilisation,
     placement_utilisation,
@@ -25,10 +23,6 @@ LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not 
 _MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
 _CHIPS_PER_TABLE = 8  # on the terminal
 _SHARES = ("neurons", "memory", "axons_in", "axons_out")  # of the fullest core
-# a drawing of cores
-_LAYER_COLOURS = ("chip", "ann", "green", "snn", "yellow", "sky", "pink")  # variables of page.css
-_CORES_PER_LINE, _MOST_CORES = 16, 256
-_CELL, _GAP = 40, 6  # [px]
 
 
 def print_report(report: DesignReport, everything: bool = True) -> None:
@@ -247,69 +241,7 @@ def _check(check: DesignCheck) -> dict[str, Any]:
         "chip": check.chip.name,
         "summary": _summary(check),
         "broken": _broken_rules(check),
-        "drawing": limits and core_drawing(check.mapping, limits, check.chip.name),
         "layers": limits and _layers(check, limits),
         "rules": _rules(check),
         "notes": _notes(check),
-    }
-
-
-@dataclass(frozen=True)
-class CoreFill:
-    """Contents of a core.
-
-    number: number of the core
-    layer: layer whose neurons it has
-    neurons: neurons of that layer in this core
-    shares: name -> part of them that is taken, of those that have a limit
-    """
-
-    number: int
-    layer: str
-    neurons: int
-    shares: dict[str, float]
-
-    def describe(self) -> str:
-        """`core 3: lif1, 128 neurons, 12.5% of its neurons`."""
-        shares = [f"{share:.1%} of its {name}" for name, share in self.shares.items()]
-        return ", ".join([f"core {self.number}: {self.layer}, {self.neurons:,} neurons", *shares])
-
-
-def core_fills(mapping: CoreMapping, limits: Limits) -> Iterator[CoreFill]:
-    """The cores that are taken; the memory of each is that of the fullest of its layer."""
-    for placement in mapping.placements:
-        if placement.first is None:
-            continue
-        fullest = placement_utilisation(placement, limits)
-        for place in range(placement.cores):
-            neurons = min(placement.block, placement.neurons - place * placement.block)
-            part = neurons / placement.block
-            if limits.layer_cores:  # of which each holds a whole layer
-                neurons, part = placement.neurons, 1.0
-            shares = {
-                "neurons": None if fullest.neurons is None else fullest.neurons * part,
-                "synaptic memory": fullest.memory,
-            }
-            limited = {name: share for name, share in shares.items() if share is not None}
-            yield CoreFill(placement.first + place, placement.name, neurons, limited)
-
-
-def core_drawing(mapping: CoreMapping, limits: Limits, chip: str) -> dict[str, Any] | None:
-    """Return the cores for templates/cores.svg.j2, line by line; None for a chip without any."""
-    fills = {fill.number: fill for fill in list(core_fills(mapping, limits))[:_MOST_CORES]}
-    if not fills:
-        return None
-    available = len(limits.layer_cores) or (limits.cores or 0) * (mapping.chips or 1)
-    count = max(max(fills) + 1, min(available, _MOST_CORES))
-    names = [placement.name for placement in mapping.placements]
-    return {
-        "chip": chip,
-        "fills": [fills.get(number) for number in range(count)],
-        "per_line": min(count, _CORES_PER_LINE),
-        "cell": _CELL,
-        "gap": _GAP,
-        "colours": {
-            name: f"var(--{_LAYER_COLOURS[k % len(_LAYER_COLOURS)]})"
-            for k, name in enumerate(names)
-        },
     }

@@ -22,7 +22,6 @@ from spikedeploy.runtime.emulator.backend import backend_class
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.integrate_and_fire import numba_steps
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 from tests.equality import check_equal, check_like_the_interpreter, runs
 from tests.programs import random_convolutions, random_neurons, random_programs, rasters
@@ -364,4 +363,3 @@ def test_the_kernels_know_every_rule_of_integrate_and_fire_neurons():
     refused = {"queue", "queue_entries", "host", "event_order", "event_spikes"}
     known_rules = at_compile_time | in_the_kernels | refused
     assert {f.name for f in fields(IntegrateAndFireRules)} == known_rules
-    assert set(numba_steps.OVERFLOWS) == set(OVERFLOWS)

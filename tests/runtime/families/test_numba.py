@@ -26,7 +26,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families import numba_frame as shared
 from spikedeploy.runtime.families import numba_pipeline as pipeline
-from spikedeploy.runtime.families.cuba import numba_integers as kernels
+from spikedeploy.runtime.families.cuba import numba_steps as kernels
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.numpy_backend import NumpyPipeline
 from tests.equality import check_equal, runs
@@ -198,7 +198,7 @@ def test_machine_code_is_kept_on_disk_under_a_name_that_tells_all_its_sources():
     sources = [path for folder in folders for path in sorted(folder.glob("numba_*.py"))]
     digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
     run = kernels.CubaPipeline.kernel
-    assert run.__qualname__ == f"run_numba_integers_{digest[:12]}"
+    assert run.__qualname__ == f"run_numba_steps_{digest[:12]}"
     assert type(run._cache).__name__ == "FunctionCache"
     assert digest[:12] in run._cache._cache_file._index_name
 
@@ -222,15 +222,13 @@ def test_the_kernels_know_every_field_of_the_arithmetic():
     refused = {"push"}  # unless it lets everything through
     assert {f.name for f in fields(CubaFixedPoint)} == at_compile_time | in_the_kernels | refused
     assert {f.name for f in fields(Register)} == {"bits", "overflow", "between"}
-    assert set(kernels.OVERFLOWS) == {"none", "wrap", "wrap-once", "clip"}
 
 
 @pytest.mark.parametrize(
     "register",
     [
         {"push": Register(24, "wrap")},
-        {"membrane": Register(24, "saturate")},
-        {"membrane": Register(24, "clip", (0, 1000))},
+        {"membrane": Register(24, "wrap", (0, 1000))},
     ],
 )
 def test_registers_that_the_kernels_do_not_know_are_refused_and_auto_takes_numpy(register):

@@ -13,7 +13,7 @@ from spikedeploy.emulation.design_report import report_of
 from spikedeploy.emulation.drift_report import drift_report, random_inputs
 from spikedeploy.jobs.pool import SerialBackend
 from spikedeploy.policies import run_record
-from spikedeploy.reports.design import core_fills, design_page
+from spikedeploy.reports.design import design_page
 from spikedeploy.reports.drift_page import drift_page
 from spikedeploy.reports.page import render_markdown
 from spikedeploy.reports.plots import curves_figure
@@ -128,20 +128,6 @@ def test_every_page_fits_phones_and_desktops_in_light_and_dark_and_on_paper(brow
     folded = "return document.querySelectorAll('details:not([open])').length"
     assert browser.execute_script(folded) == 0
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
-
-
-def test_the_cores_that_are_drawn_hold_every_neuron_once(network):
-    for name in ("loihi1", "loihi2", "truenorth", "spinnaker2"):
-        (check,) = report_of("small.nir", network, [name], Path("small.nir"), {}).checks
-        limits, mapping = check.chip.limits, check.mapping
-        fills = list(core_fills(mapping, limits))
-        assert len(fills) == mapping.cores == len({fill.number for fill in fills})
-        for placement in mapping.placements:
-            held = sum(fill.neurons for fill in fills if fill.layer == placement.name)
-            assert held == placement.neurons
-        drawn = design_page(report_of("small.nir", network, [name], Path("small.nir"), {}))
-        assert drawn.count("<g>") + drawn.count('<g class="over">') >= mapping.cores
-        assert f"core {fills[0].number}: {fills[0].layer}, {fills[0].neurons:,} neurons" in drawn
 
 
 def test_a_value_far_away_does_not_squash_the_curve(run):
