@@ -42,25 +42,26 @@ class Description(NamedTuple):
 class ArithmeticDefaults(Protocol):
     """Defaults of an arithmetic, from which families inherit."""
 
+    rounds: ClassVar[bool] = True  # whether its numbers differ from those of the network in float
+    # width of a graded spike between neurons [bits], with the sign; None where it has none
+    graded_bits: ClassVar[int | None] = None
+    choices: ClassVar[tuple[str, ...]] = ("rounding",)  # fields of Quantisation that can be chosen
+    # spikes and floor that a convention must name; None where no source says
+    spikes_and_floor: ClassVar[tuple[str, str] | None] = None
+    # kinds of rounding, one after another, that take the network to the chip; or none
+    ablation_steps: ClassVar[tuple[str, ...]] = ()
+    # name of the published model of the time that it takes, other than a table of times
+    time_model: ClassVar[str | None] = None
+
     @property
     def backends(self) -> Mapping[str, str]:
         """Name -> "module:class" of each backend, besides the interpreter, that has kernels."""
         return {}
 
     @property
-    def rounds(self) -> bool:
-        """True where its numbers differ from those of the network in float."""
-        return True
-
-    @property
     def input_spikes_max(self) -> int:
         """Spikes of an input channel in a timestep."""
         return 1
-
-    @property
-    def graded_bits(self) -> int | None:
-        """Width of a graded spike between neurons [bits], with the sign; None where it has none."""
-        return None
 
     @property
     def weights_have_signs(self) -> bool:
@@ -100,11 +101,6 @@ class ArithmeticDefaults(Protocol):
         return {}
 
     # what can be compiled
-
-    @property
-    def choices(self) -> tuple[str, ...]:
-        """Fields of Quantisation that can be chosen."""
-        return ("rounding",)
 
     def check_convention(self, convention: Convention, chip_name: str) -> None:
         """Refuse conventions by which the neurons cannot spike."""
@@ -167,11 +163,6 @@ class ArithmeticDefaults(Protocol):
         return False
 
     @property
-    def spikes_and_floor(self) -> tuple[str, str] | None:
-        """Spikes and floor that a convention must name; None where no source says."""
-        return None
-
-    @property
     def weight_lists(self) -> int:
         """Lists that hold the weights of an axon: 2 where each sign has its own."""
         return 1
@@ -186,11 +177,6 @@ class ArithmeticDefaults(Protocol):
     def decay_one(self) -> int:
         """The decay factor that keeps everything, as a layer stores it."""
         return 1
-
-    @property
-    def ablation_steps(self) -> tuple[str, ...]:
-        """Kinds of rounding, one after another, that take the network to the chip; or none."""
-        return ()
 
     def partly_rounded(self, before: Layer, after: Layer, step: str) -> Layer:
         """The layer in float64 and state units, rounded up to one of the ablation steps.
@@ -217,11 +203,6 @@ class ArithmeticDefaults(Protocol):
         if convention.reset == "subtract":
             return np.asarray(membrane + layer.threshold * spikes)
         return np.where(spikes > 0, np.nan, membrane)
-
-    @property
-    def time_model(self) -> str | None:
-        """Name of the published model of the time that it takes, other than a table of times."""
-        return None
 
 
 class Arithmetic(ArithmeticDefaults, Protocol):

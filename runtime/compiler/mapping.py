@@ -232,7 +232,7 @@ class Loads:
 
     def __init__(self, population: Population, limits: Limits, lists: int) -> None:
         self._limits, self._lists = limits, lists
-        self._projections = [(each, _before(each)) for each in population.presynaptic]
+        self._projections = population.presynaptic
         self._biased = limits.input_cores and population.biased
         self._found: dict[int, Load] = {}
 
@@ -250,8 +250,8 @@ class Loads:
 
     def _load(self, block: int) -> Load:
         axons, bits, memory = int(self._biased), 0, self._limits.memory
-        for projection, before in self._projections:
-            counts = _in_blocks(projection, before, block, self._lists)
+        for projection in self._projections:
+            counts = _count_in_blocks(projection, block, self._lists)
             axons += int(np.count_nonzero(sum(counts), axis=0).max())
             if memory is not None:
                 found = sum(list_bits(each, block, memory, projection.delayed) for each in counts)
@@ -263,35 +263,19 @@ class Loads:
         return Load(bits, axons)
 
 
-def _before(projection: Projection) -> NDArray[np.int32] | None:
-    """(2, N + 1, M) positive and negative synapses onto targets before each; None if not listed.
-
-    Added up once, because a mapping tries many blocks.
-    """
-    if (weight := projection.weight) is None:
-        return None
-    before = np.zeros((2, weight.shape[1] + 1, len(weight)), np.int32)
-    np.cumsum(weight.T > 0, axis=0, out=before[0, 1:])
-    np.cumsum(weight.T < 0, axis=0, out=before[1, 1:])
-    return before
-
-
-def _in_blocks(
-    projection: Projection, before: NDArray[np.int32] | None, block: int, lists: int
-) -> list[Counts]:
+def _count_in_blocks(projection: Projection, block: int, lists: int) -> list[Counts]:
     """(M, k) synapses of each source in each block of targets; of 2 lists, one for each sign.
 
     Where synapses are not listed an estimate, (M, 1): as many sources as they could have, each
     with its share.
     """
-    if before is None:
+    if projection.weight is None:
         synapses = block * int(projection.into.max())
         axons = min(synapses, projection.out.size)
         return [np.full((axons, 1), -(-synapses // max(axons, 1)))]
-    starts = np.arange(0, projection.into.size, block)
-    ends = np.minimum(starts + block, projection.into.size)
-    counts = [np.subtract(each[ends], each[starts], dtype=np.int64).T for each in before]
-    return counts if lists == 2 else [counts[0] + counts[1]]
+    starts, weight = np.arange(0, projection.into.size, block), projection.weight
+    signs = [weight > 0, weight < 0] if lists == 2 else [weight != 0]
+    return [np.add.reduceat(each, starts, axis=1, dtype=np.int64) for each in signs]
 
 
 def list_bits(counts: Counts, neurons: int, memory: SynapticMemory, delayed: bool) -> Counts:

@@ -36,8 +36,8 @@ from spikedeploy.runtime.families.cuba.quantise import describe_range, quantise
 
 # from rounded weights to the chip, each with those before it
 _ROUNDING_STEPS = ("weights", "thresholds", "decays", "states")
-# of lava's neurons
-_GRADED_BITS = 24
+# of lava's neurons; of whole numbers that float64 holds
+_GRADED_BITS, _GRADED_BITS_FLOAT = 24, 53
 
 
 @dataclass(frozen=True)
@@ -283,8 +283,7 @@ class CubaFloat64(ArithmeticDefaults):
     spikes_max: ClassVar[int] = 1
     weight_bits: ClassVar[int] = 32
     state_bits: ClassVar[tuple[int, ...]] = (32, 32)
-    # whole numbers that float64 holds
-    graded_bits: ClassVar[int] = 53
+    graded_bits: ClassVar[int | None] = _GRADED_BITS_FLOAT
     # nothing is rounded, so that all are accepted
     choices: ClassVar[tuple[str, ...]] = CHOICES
 
@@ -320,7 +319,7 @@ class CubaFloat64(ArithmeticDefaults):
         """Advance a layer by one timestep, in which these spikes (B, M) of its synapses arrive."""
         weights = sum_arriving(layer, presynaptic)
         if layer.graded:
-            return float_sigma_delta(self.graded_bits, layer, weights, state)
+            return float_sigma_delta(_GRADED_BITS_FLOAT, layer, weights, state)
         return float_update(network.convention, layer, weights, state)
 
     def before_reset(

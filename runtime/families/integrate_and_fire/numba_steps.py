@@ -219,6 +219,7 @@ def _add_events(
             # the leak is an event, too
             for n in range(size):
                 lost += _spike_once(rules, neurons, n, after, spikes)
+    in_rows = about[ALIKE] and rules[OVERFLOW] == frame.CLAMP
     for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
         wire = constants.wires[k]
         axons, counts = frame.arrivals(constants, memory, wire, row)
@@ -227,16 +228,14 @@ def _add_events(
             for _ in range(counts[axon]):
                 if wire[frame.IS_WINDOW]:
                     lost += _arrive_through(constants, wire, axon, neurons, after, spikes, arrived)
-                elif rules[OVERFLOW] == frame.CLAMP:
+                elif in_rows:
                     row_of = weights[at : at + size]
-                    lost += _arrive_row(
-                        rules, neurons, about[ALIKE], row_of, after, memory.wide[1, :size]
-                    )
+                    lost += _arrive_row(rules, neurons, row_of, after, memory.wide[1, :size])
                 else:
                     for n in range(size):
                         weight = weights[at + n]
                         lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
-            if not wire[frame.IS_WINDOW] and rules[OVERFLOW] == frame.CLAMP and call.counting:
+            if not wire[frame.IS_WINDOW] and in_rows and call.counting:
                 for n in range(size):
                     arrived[n] |= weights[at + n] != 0
         lost += _sum_spikes(rules, memory.wide[1, :size], spikes)
@@ -280,25 +279,12 @@ def _arrive_through(
 
 
 @frame.jit
-def _arrive_row(
-    rules: Array, neurons: Array, alike: Number, row: Array, membranes: Array, fired: Array
-) -> Number:
-    """An event that reaches neurons by a row of weights; how many numbers did not fit.
+def _arrive_row(rules: Array, neurons: Array, row: Array, membranes: Array, fired: Array) -> Number:
+    """An event that reaches neurons that are alike by a row of weights; how many did not fit.
 
-    fired: (N,) to which their spikes are added. Of neurons that are alike, numbers stay in the type
-        of the membranes, and few arrays are read: so the compiler makes vector instructions.
+    fired: (N,) to which their spikes are added. Numbers stay in the type of the membranes, and few
+        arrays are read: so the compiler makes vector instructions.
     """
-    if not alike:
-        lost = 0
-        for n in range(len(row)):
-            raised = membranes[n] + row[n]
-            held = min(max(raised, rules[LOWEST]), rules[HIGHEST])
-            lost += held != raised
-            membranes[n] = max(held, neurons.floor[n])
-            if rules[CHECKS_EVENTS] and membranes[n] >= neurons.fires[n]:
-                membranes[n] = _after_spike(rules, neurons, n, membranes[n])
-                fired[n] += 1
-        return lost
     if not rules[CHECKS_EVENTS]:
         return np.int64(_arrive_alike(rules, neurons, row, membranes, fired, False, False))
     if rules[SUBTRACT]:

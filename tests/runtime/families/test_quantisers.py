@@ -358,7 +358,6 @@ def test_what_the_chip_cannot_hold_is_refused_by_its_rule(build, rule):
     ("make", "word"),
     [
         (lambda: Quantisation(granularity="neuron"), "granularity 'neuron'"),
-        (lambda: Quantisation(headroom="some"), "headroom 'some'"),
         (lambda: Quantisation(rounding="up"), "rounding 'up'"),
         *((lambda v=v: Tuning(clip_ratio=v), "clip_ratio") for v in (0.0, -1.0, np.inf, np.nan)),
     ],
