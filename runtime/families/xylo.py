@@ -155,24 +155,10 @@ class XyloArithmetic(ArithmeticDefaults):
                 current[:, fed] += events @ weight
                 continue
             for b, axon in np.argwhere(events):
-                count = int(events[b, axon])
-                current[b, fed], over = self._add_axon(current[b, fed], weight[axon], count)
-                lost[b] += over
+                for _ in range(events[b, axon]):
+                    raised, over = self.state.fit_counted(current[b, fed] + weight[axon])
+                    current[b, fed], lost[b] = raised, lost[b] + over
         return current, lost
-
-    def _add_axon(self, current: Numbers, weight: Numbers, count: int) -> tuple[Numbers, Numbers]:
-        """Currents (N,) after so many events of one axon, and how many additions saturated."""
-        if self.state.overflow != "saturate" or self.state.between:
-            lost = np.zeros_like(current)
-            for _ in range(count):
-                current, over = self.state.fit_counted(current + weight)
-                lost = lost + over
-            return current, lost
-        low, high = -self.state.limit - 1, self.state.limit
-        # additions of one weight saturate for good, so their order does not matter
-        room = np.where(weight > 0, high - current, current - low)
-        fitting = np.where(weight == 0, count, room // np.maximum(np.abs(weight), 1))
-        return self.state.fit(current + count * weight), (count - fitting).clip(min=0)
 
     # from floats to the chip
 

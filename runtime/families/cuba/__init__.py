@@ -7,6 +7,5 @@ neurons          the registers in integers, and one timestep, with and without r
 quantise         a layer in floats becomes integers; bounds on what registers must hold
 arithmetic       the arithmetics: Loihi's integers, free widths, float64 and float32
 numpy_backend    the NumPy kernels: the window of a layer in few calls; their backend
-numba_integers   the compiled step and backend of layers with integers
-numba_floats     the compiled step and backend of layers in float32
+numba_steps      the compiled step and backends of layers with integers and in float32
 """

@@ -252,7 +252,10 @@ def update_by_events(
         if synapses.source == network.input
     )
     counts = presynaptic[name][place]
-    done = {layer.name: _LayerCounts.nothing(len(counts), layer.size) for layer in network.layers}
+    done = {
+        layer.name: StepResult(*(np.zeros((len(counts), layer.size), np.int64) for _ in range(3)))
+        for layer in network.layers
+    }
     working = EventNetwork(rules, network, process)
     source = next(e for e in working.layers if e.layer.name == name).layer.synapses[place]
     rank = ranks(window_of(source).source, rules.event_order)
@@ -268,24 +271,10 @@ def update_by_events(
         sent = working.work(Spikes(np.zeros(len(axons), np.int64), axons))
         for layer, after in working.states.items():
             states[layer].membrane[copy] = after.membrane
-            done[layer].enter(copy, sent[layer].neuron, after, rules.spikes_max)
-    return {layer: StepResult(d.spikes, d.touched, d.overflows) for layer, d in done.items()}
-
-
-class _LayerCounts(NamedTuple):
-    """Counts and states of a layer in a timestep, (B, N) each."""
-
-    spikes: Integers
-    touched: Integers
-    overflows: Integers
-
-    @classmethod
-    def nothing(cls, batch: int, size: int) -> "_LayerCounts":
-        return cls(*(np.zeros((batch, size), np.int64) for _ in range(3)))
-
-    def enter(self, copy: int, neurons: Integers, state: EventState, most: int) -> None:
-        """Enter what a copy did; of a neuron's spikes in a timestep a raster holds so many."""
-        spikes = np.bincount(neurons, minlength=len(state.membrane))
-        self.spikes[copy] = np.minimum(spikes, most)
-        self.touched[copy] = state.touched
-        self.overflows[copy] = state.overflows + (spikes - self.spikes[copy])
+            spikes = np.bincount(sent[layer].neuron, minlength=len(after.membrane))
+            result = done[layer]
+            # of a neuron's spikes in a timestep a raster holds so many
+            result.spikes[copy] = np.minimum(spikes, rules.spikes_max)
+            result.active[copy] = after.touched
+            result.overflows[copy] = after.overflows + (spikes - result.spikes[copy])
+    return done

@@ -18,7 +18,7 @@ from spikedeploy.runtime.convention import Convention
 CASE = Path(__file__).parents[2] / "golden" / "outliers"
 CHANNEL = Quantisation("channel")
 OPTION, ROW, COLUMN = "--quantise channel", "divide the neuron's", "make its weights smaller"
-CHIPS = {"loihi1": "zero", "loihi2": "zero", "int": "zero", "spiker": "zero", "spinnaker2": "zero"}
+CHIPS = {"loihi1": "zero", "spiker": "zero", "spinnaker2": "zero"}
 
 
 def test_the_case_of_an_outlier_row_is_a_remark_and_its_option_mends_it():

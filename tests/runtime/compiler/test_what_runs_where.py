@@ -114,17 +114,6 @@ def test_without_limits_all_runs_that_the_arithmetic_has_something_for(name, kin
         assert trace(program, raster())["n2"].spikes.any()
 
 
-@pytest.mark.parametrize("name", KNOWN)
-@pytest.mark.parametrize("reset", ["zero", "subtract"])
-def test_a_reset_that_the_chip_lacks_is_refused_by_the_rule_reset(name, reset):
-    artifact = signed(reset)
-    if reset in chip(name).resets:
-        assert compile_program(artifact, chip(name), limits=False).convention.reset == reset
-    else:
-        with pytest.raises(RuleError, match=f"^rule reset: .*{name}"):
-            compile_program(artifact, chip(name), limits=False)
-
-
 @pytest.mark.parametrize("name", ["speck2f", "truenorth", "odin", "spiker", "spinnaker2", "int"])
 def test_whole_weights_and_integrators_mean_what_they_mean_in_float(name):
     """Nothing is rounded on a chip that subtracts, nothing clipped, and no sum is the threshold."""

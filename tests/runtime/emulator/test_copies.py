@@ -2,7 +2,6 @@
 
 import contextlib
 import copy
-import multiprocessing
 import pickle
 from dataclasses import replace
 
@@ -31,7 +30,7 @@ WAYS = {
     "pickle": lambda each: pickle.loads(pickle.dumps(each)),
 }
 BACKENDS = ("interpreter", "numpy", "numba", "auto")
-OBSERVED, ACTIONS, STEPS = 8, 4, 20
+OBSERVED, ACTIONS, STEPS = 8, 4, 10
 
 
 def neurons(kind, size):
@@ -235,22 +234,6 @@ def test_copies_of_an_event_machine_act_as_it_does(backend):
         return *(each for rows in sent for each in rows), *machine.membrane.values()
 
     check_copies(lambda: EventMachine(program, backend), process, events)
-
-
-def acted(controller, observations):
-    return [controller.act_batch(each) for each in observations], controller.ledger.counts
-
-
-@pytest.mark.parametrize("backend", ["auto", "numpy"])
-def test_a_controller_that_is_sent_to_another_process_acts_there_as_here(backend):
-    controller = SpikingController(popsan(), chip("loihi1"), backend=backend)
-    given = rows(observed=3)
-    acted(controller, given[:7])
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        there, counts = pool.apply(acted, (controller, given[7:]))
-    here, ours = acted(controller, given[7:])
-    np.testing.assert_array_equal(there, here)
-    np.testing.assert_array_equal(counts, ours)
 
 
 @pytest.mark.parametrize("way", WAYS.values())

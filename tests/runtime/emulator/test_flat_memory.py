@@ -13,7 +13,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from tests.networks import popsan
 from tests.programs import rasters
 
-STEPS = 20_000
+STEPS = 4_000
 numba = pytest.param(
     "numba", marks=pytest.mark.skipif(find_spec("numba") is None, reason="numba is not installed")
 )

@@ -24,6 +24,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.families.integrate_and_fire.neurons import IntegrateAndFireRules
 from tests.equality import check_equal, check_like_the_interpreter, runs
+from tests.networks import popsan
 from tests.programs import random_convolutions, random_neurons, random_programs, rasters
 from tests.xylo_networks import random_cores, random_networks
 
@@ -233,19 +234,19 @@ def xylo(draw):
 
 # family -> its programs, and how many are tried
 FAMILIES = {
-    ("numpy", "cuba"): (random_programs(), 80),
-    ("numpy", "cuba, kernels"): (convolved(random_programs()), 40),
-    ("numpy", "free widths"): (free_widths(), 30),
-    ("numba", "cuba"): (compilable, 80),
-    ("numba", "cuba, kernels"): (convolved(compilable), 60),
-    ("numba", "free widths"): (free_widths(), 30),
-    ("numba", "float32, kernels"): (convolved(spinnaker2(), neurons_in_float32), 40),
-    ("numba", "integrate and fire"): (fire_programs().map(leaky), 80),
+    ("numpy", "cuba"): (random_programs(), 50),
+    ("numpy", "cuba, kernels"): (convolved(random_programs()), 25),
+    ("numpy", "free widths"): (free_widths(), 25),
+    ("numba", "cuba"): (compilable, 50),
+    ("numba", "cuba, kernels"): (convolved(compilable), 30),
+    ("numba", "free widths"): (free_widths(), 25),
+    ("numba", "float32, kernels"): (convolved(spinnaker2(), neurons_in_float32), 25),
+    ("numba", "integrate and fire"): (fire_programs().map(leaky), 50),
     ("numba", "integrate and fire, kernels"): (
         convolved(fire_programs(), fire_neurons).map(leaky),
-        50,
+        30,
     ),
-    ("numba", "xylo"): (xylo(), 50),
+    ("numba", "xylo"): (xylo(), 30),
 }
 
 
@@ -320,6 +321,14 @@ def biased_twice():
     return replace(program, layers=(*program.layers[:-1], last))
 
 
+def negative_exponent():
+    """A negative weight exponent, by which sums are rounded."""
+    program = compile_program(popsan(), chip("loihi1"))
+    first, *others = program.layers
+    shifted = replace(first, synapses=(replace(first.synapses[0], shift=1),))
+    return replace(program, layers=(shifted, *others))
+
+
 def queue():
     """A queue of spikes on the chip."""
     synapses = [Synapses("input", np.ones((2, 3), np.int16), 0)]
@@ -341,6 +350,7 @@ def two_currents():
         (biased_twice, "one after another"),
         (queue, "supported by interpreter alone"),
         (two_currents, "several currents"),
+        (negative_exponent, "a negative exponent"),
     ],
 )
 def test_what_no_kernel_knows_is_refused_and_auto_interprets(build, said):

@@ -40,12 +40,14 @@ compiled = pytest.mark.skipif(
 )
 
 
-@compiled
-@settings(max_examples=40)
+@pytest.mark.parametrize("name", [pytest.param("numba", marks=compiled), "interpreter"])
+@settings(max_examples=25)
 @given(random_programs().map(known), runs, st.booleans())
-def test_without_a_trace_it_equals_the_numpy_kernels_in_all_that_is_left(program, run, streaming):
+def test_without_a_trace_it_equals_the_numpy_kernels_in_all_that_is_left(
+    name, program, run, streaming
+):
     batch, *_ = run
-    ours, numpy = machines = [Machine(program, batch, backend=name) for name in ("numba", "numpy")]
+    ours, numpy = machines = [Machine(program, batch, backend=each) for each in (name, "numpy")]
     for raster in rasters(program, *run, inferences=2):
         for step in range(raster.shape[1] if streaming else 1):
             if streaming:

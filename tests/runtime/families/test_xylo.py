@@ -1,13 +1,10 @@
 """Xylo's arithmetic worked out by hand, and how its traces are read."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
@@ -192,23 +189,3 @@ def test_the_lowest_membrane_that_forgets_at_once_stays_where_it_is(ran):
 def test_a_broken_trace_is_told_what_is_wrong(params, message, file):
     with pytest.raises(TraceError, match=message):
         verify(file(network([1], [[1]], **params)))
-
-
-@pytest.mark.parametrize(
-    "state",
-    [Register(16, "saturate"), Register(16, "saturate", (-20_000, 30_000)), Register(16, "wrap")],
-)
-def test_many_events_of_an_axon_are_as_many_additions_one_after_another(state):
-    registers, rng = chip("xylo-a2").arithmetic, np.random.default_rng(0)
-    registers = replace(registers, state=state)
-    for count in (1, 2, 15, 31):
-        start = registers.state.fit(rng.integers(-33_000, 33_000, 4000))
-        weight = rng.integers(-128, 128, 4000) << rng.integers(0, 8, 4000)
-        current, lost = start, np.zeros(4000, np.int64)
-        for _ in range(count):
-            current, over = registers.state.fit_counted(current + weight)
-            lost = lost + over
-        found, times = registers._add_axon(start, weight, count)
-        np.testing.assert_array_equal(found, current)
-        np.testing.assert_array_equal(times, lost)
-        assert lost.any()
