@@ -179,6 +179,7 @@ def _one_of(node: str, found: str, possible: Sequence[str], remedy: str) -> Rule
 
 
 _FEW_WEIGHTS = "Quantise to so few weights, or double sources so that each has one more."
+_FEWER, _PRUNE = "Connect fewer.", "Prune the network."
 _FEW_INPUTS = (
     "Pool or choose features before they become spikes, or take fewer neurons in the codec."
 )
@@ -620,30 +621,32 @@ def _convention(design: PlacedNetwork) -> Results:
 class Rule(NamedTuple):
     """A row of the table.
 
-    results: of the rule on a placed network; nodes that it does not apply to are left out.
+    find: yields the results on a placed network, nodes that it does not apply to left out; of a
+        rule with a limit what is measured, which passes up to the limit, fails above it, and is
+        unknown where the chip has none.
+    limit, unit, remedy: field of Limits, what is counted, and what to do where it fails.
     needs: field of Limits without which it applies to nothing.
     numbers: whether it is about numbers, which the compiler judges when it has rounded them, and
         not about capacity.
     network: whether it is about the whole network, not about each node.
     """
 
-    results: Callable[[PlacedNetwork], Results]
+    find: Callable[[PlacedNetwork], Iterable[Any]]
+    limit: str = ""
+    unit: str = ""
+    remedy: str = ""
     needs: str = ""
     numbers: bool = False
     network: bool = False
 
-
-def _limited(
-    limit: str, unit: str, remedy: str, measure: Callable[[PlacedNetwork], Measured]
-) -> Callable[[PlacedNetwork], Results]:
-    """A rule that passes up to a field of Limits, fails above it, and is unknown without one."""
-
-    def results(design: PlacedNetwork) -> Results:
-        most = getattr(design.limits, limit)
-        for node, found, *note in measure(design):
-            yield _at_most(node, found, most, unit, remedy, *note)
-
-    return results
+    def results(self, design: PlacedNetwork) -> Results:
+        """The results of the rule on a placed network."""
+        if not self.limit:
+            yield from self.find(design)
+            return
+        most = getattr(design.limits, self.limit)
+        for node, found, *note in self.find(design):
+            yield _at_most(node, found, most, self.unit, self.remedy, *note)
 
 
 RULES = {
@@ -651,31 +654,27 @@ RULES = {
     "reset": Rule(_reset, numbers=True),
     "graded": Rule(_graded, numbers=True),
     "neurons": Rule(_neurons),
-    "fan-in": Rule(
-        _limited("fan_in", "synapses of a neuron", "Prune it, or divide its sources.", _fan_in)
-    ),
-    "fan-out": Rule(_limited("fan_out", "synapses of a spike", "Prune it.", _fan_out)),
+    "fan-in": Rule(_fan_in, "fan_in", "synapses of a neuron", "Prune it, or divide its sources."),
+    "fan-out": Rule(_fan_out, "fan_out", "synapses of a spike", "Prune it."),
     "synaptic-memory": Rule(_synaptic_memory),
-    "axons-in": Rule(
-        _limited("axons_in", "sources of a core", "Prune the layer's sources.", _axons_in)
-    ),
+    "axons-in": Rule(_axons_in, "axons_in", "sources of a core", "Prune the layer's sources."),
     "axons-out": Rule(
-        _limited(
-            "axons_out", "axons out of a core", "Make the layers after it smaller.", _axons_out
-        )
+        _axons_out, "axons_out", "axons out of a core", "Make the layers after it smaller."
     ),
-    "shape": Rule(_shape, "convolutions"),
+    "shape": Rule(_shape, needs="convolutions"),
     "destinations": Rule(
-        _limited("destinations", "layers", "Connect it to fewer layers.", _destinations),
-        "destinations",
+        _destinations, "destinations", "layers", "Connect fewer layers.", needs="destinations"
     ),
-    "kernel": Rule(_kernel, "convolutions"),
-    "pool": Rule(_pool, "convolutions"),
-    "layer-order": Rule(_layer_order, "convolutions"),
-    "sign": Rule(_axon_signs, "axon_signs", numbers=True),
+    "kernel": Rule(_kernel, needs="convolutions"),
+    "pool": Rule(_pool, needs="convolutions"),
+    "layer-order": Rule(_layer_order, needs="convolutions"),
+    "sign": Rule(_axon_signs, needs="axon_signs", numbers=True),
     "axon-types": Rule(
-        _limited("weight_values", "weights of a neuron", _FEW_WEIGHTS, _weight_values),
+        _weight_values,
         "weight_values",
+        "weights of a neuron",
+        _FEW_WEIGHTS,
+        needs="weight_values",
         numbers=True,
     ),
     "weight-bits": Rule(_weight_bits, numbers=True),
@@ -683,21 +682,16 @@ RULES = {
     "decay-range": Rule(_decay_range, numbers=True),
     "recurrence": Rule(_recurrence),
     "delay": Rule(_delay),
-    "inputs": Rule(_limited("inputs", "inputs", _FEW_INPUTS, _inputs), network=True),
-    "outputs": Rule(
-        _limited("outputs", "outputs", "Put a small layer at the end.", _outputs), network=True
-    ),
+    "inputs": Rule(_inputs, "inputs", "inputs", _FEW_INPUTS, network=True),
+    "outputs": Rule(_outputs, "outputs", "outputs", "Put a small layer at the end.", network=True),
     "input-targets": Rule(
-        _limited("input_targets", "neurons that hear inputs", "Connect fewer.", _input_targets),
-        network=True,
+        _input_targets, "input_targets", "neurons that hear inputs", _FEWER, network=True
     ),
     "output-sources": Rule(
-        _limited("output_sources", "neurons that outputs hear", "Connect fewer.", _output_sources),
-        network=True,
+        _output_sources, "output_sources", "neurons that outputs hear", _FEWER, network=True
     ),
     "fan-out-mean": Rule(
-        _limited("fan_out_mean", "synapses of a mean spike", "Prune the network.", _fan_out_mean),
-        network=True,
+        _fan_out_mean, "fan_out_mean", "synapses of a mean spike", _PRUNE, network=True
     ),
     "cores": Rule(_cores, network=True),
     "chips": Rule(_chips, network=True),

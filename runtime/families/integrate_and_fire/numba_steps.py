@@ -219,7 +219,6 @@ def _add_events(
             # the leak is an event, too
             for n in range(size):
                 lost += _spike_once(rules, neurons, n, after, spikes)
-    in_rows = about[ALIKE] and rules[OVERFLOW] == frame.CLAMP
     for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
         wire = constants.wires[k]
         axons, counts = frame.arrivals(constants, memory, wire, row)
@@ -228,17 +227,10 @@ def _add_events(
             for _ in range(counts[axon]):
                 if wire[frame.IS_WINDOW]:
                     lost += _arrive_through(constants, wire, axon, neurons, after, spikes, arrived)
-                elif in_rows:
-                    row_of = weights[at : at + size]
-                    lost += _arrive_row(rules, neurons, row_of, after, memory.wide[1, :size])
                 else:
                     for n in range(size):
                         weight = weights[at + n]
                         lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
-            if not wire[frame.IS_WINDOW] and in_rows and call.counting:
-                for n in range(size):
-                    arrived[n] |= weights[at + n] != 0
-        lost += _sum_spikes(rules, memory.wide[1, :size], spikes)
     biased = frame.has_bias(about, row, call.timesteps)
     if about[AXON_BIASED if biased else BIASED]:
         for n in range(size):
@@ -275,60 +267,6 @@ def _arrive_through(
                     n = first + feature * places + y * wire[frame.TARGET_X] + x
                     weight = weights[at + (i * wire[frame.KERNEL_X] + j) * features + feature]
                     lost += _arrive(rules, neurons, n, weight, membranes, spikes, arrived)
-    return lost
-
-
-@frame.jit
-def _arrive_row(rules: Array, neurons: Array, row: Array, membranes: Array, fired: Array) -> Number:
-    """An event that reaches neurons that are alike by a row of weights; how many did not fit.
-
-    fired: (N,) to which their spikes are added. Numbers stay in the type of the membranes, and few
-        arrays are read: so the compiler makes vector instructions.
-    """
-    if not rules[CHECKS_EVENTS]:
-        return np.int64(_arrive_alike(rules, neurons, row, membranes, fired, False, False))
-    if rules[SUBTRACT]:
-        return np.int64(_arrive_alike(rules, neurons, row, membranes, fired, True, True))
-    return np.int64(_arrive_alike(rules, neurons, row, membranes, fired, True, False))
-
-
-@frame.jit
-def _arrive_alike(
-    rules: Array,
-    neurons: Array,
-    row: Array,
-    membranes: Array,
-    fired: Array,
-    checks: bool,
-    subtract: bool,
-) -> Number:
-    """Equal `_arrive_row` for neurons that are alike; flags are constants at every call."""
-    whole = membranes.dtype.type
-    lost, lowest, highest = whole(0), whole(rules[LOWEST]), whole(rules[HIGHEST])
-    floor, fires, reset = neurons.floor[0], neurons.fires[0], neurons.reset[0]
-    threshold = neurons.threshold[0]
-    for n in range(len(row)):
-        raised = whole(membranes[n] + row[n])
-        held = min(max(raised, lowest), highest)
-        lost = whole(lost + whole(held != raised))
-        v = max(held, floor)
-        if checks:
-            spikes = v >= fires
-            left = whole(v - threshold) if subtract else reset
-            v = left if spikes else v
-            fired[n] = whole(fired[n] + whole(spikes))
-        membranes[n] = v
-    return lost
-
-
-@frame.jit
-def _sum_spikes(rules: Array, fired: Array, spikes: Array) -> Number:
-    """Add up spikes of events, and clear them; how many are more than can be counted."""
-    most, lost = rules[SPIKES_MAX], 0
-    for n in range(len(spikes)):
-        total = spikes[n] + fired[n]
-        lost += max(total - most, 0)
-        spikes[n], fired[n] = min(total, most), 0
     return lost
 
 
