@@ -1,13 +1,13 @@
 """The report of `check`: which chips a network fits on, and what it takes of their cores."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from spikedeploy.console import print_text
 from spikedeploy.emulation.design_report import DesignReport
 from spikedeploy.reports.page import provenance, render
-from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
+from spikedeploy.reports.table import ABSENT, Table
 from spikedeploy.runtime.chips.chip import Limits
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.mapping import (
@@ -177,7 +177,6 @@ def design_page(report: DesignReport) -> str:
         "design",
         title=f"{report.file}: design rules" + (f" of {checks[0].chip.name}" if alone else ""),
         lead=_lead(checks),
-        numbers=list(_numbers(checks)),
         chips=None if alone else _chips(checks),
         rules_by_chip=_rules_by_chip(checks),
         checks=[_check(each) for each in checks],
@@ -198,30 +197,6 @@ def _lead(checks: Sequence[DesignCheck]) -> str:
     limited = [each for each in checks if each.chip.limits is not None]
     fits = [each.chip.name for each in limited if each.passed]
     return f"It keeps all rules of {', '.join(fits) or 'no chip'}; {len(limited)} have limits."
-
-
-def _numbers(checks: Sequence[DesignCheck]) -> Iterator[HeadlineNumber]:
-    check = checks[0]
-    alone = len(checks) == 1
-    if alone:
-        broken = len(_broken_rules(check))
-        kept = f"{broken} broken rules" if broken else "every rule is kept"
-        yield HeadlineNumber("verdict", "fits" if check.passed else "does not fit", (kept,))
-    else:
-        limited = [each for each in checks if each.chip.limits is not None]
-        fits, of = sum(each.passed for each in limited), f"of {len(limited)} that have limits"
-        yield HeadlineNumber("chips that it fits on", str(fits), (of,))
-    layers = [each for each in check.mapping.placements if each.kind == "neurons"]
-    synapses = sum(each.synapses for each in layers)
-    beside = f"in {len(layers)} population{'s' if len(layers) > 1 else ''}, {synapses:,} synapses"
-    yield HeadlineNumber("neurons", f"{sum(each.neurons for each in layers):,}", (beside,))
-    if not alone:
-        fan_in = max((each.fan_in for each in layers), default=0)
-        yield HeadlineNumber("synapses", f"{synapses:,}", (f"{fan_in:,} at most onto a neuron",))
-    elif check.mapping.cores:
-        chips = check.mapping.chips
-        where = (f"on {chips} chip{'s' if chips > 1 else ''}",) if chips else ()
-        yield HeadlineNumber("cores", f"{check.mapping.cores:,}", where)
 
 
 def _chips(checks: Sequence[DesignCheck]) -> Table:
