@@ -8,7 +8,7 @@ arithmetic       the one interface to everything in which the numbers of chips d
 layer            synapses, layers and their states, and when layers start
 quantisation     the choices of how a float network becomes the numbers of a chip
 registers        registers, what they do when they overflow, decays, and rounding
-damage           what is broken on a chip, and what goes wrong by chance while it runs
+damage           what is broken on a chip, and the draws of what goes wrong while it runs
 """
 
 from pathlib import Path

@@ -7,6 +7,7 @@ each robot of a batch as if it were alone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +81,75 @@ class Upsets:
     def probability(self, name: str) -> float:
         """The probability of a kind; 0 where there is none."""
         return next((upset.probability for upset in self.each if upset.name == name), 0.0)
+
+
+_FLIPS, _LOST, _SPURIOUS, _BIT = range(4)  # streams of draws
+_KINDS = {"state-flips": _FLIPS, "lost-spikes": _LOST, "spurious-spikes": _SPURIOUS}
+
+
+class UpsetDraws:
+    """The draws of a batch of B robots, and how often something was hit.
+
+    seeds: (B,) of their episodes.
+    window: how many windows have run since then.
+    counts: (3, 2) hits and chances of each kind.
+    """
+
+    def __init__(self, upsets: Upsets, batch: int) -> None:
+        self.upsets = upsets
+        self.counts = np.zeros((len(_KINDS), 2), np.int64)
+        self.seed(range(batch))
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        """Start the draws of these episodes; counts go on."""
+        self.seeds = np.array(seeds, np.int64)
+        self._keys: Keys = keys(self.upsets.specimen, self.seeds.tolist())
+        self.window = 0
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """Hits of each upset so far, and chances."""
+        hits = {name: self.counts[stream].tolist() for name, stream in _KINDS.items()}
+        return tuple(
+            Damage(u.text, u.name, u.probability, *hits[u.name], u.what, over_time=True)
+            for u in self.upsets.each
+        )
+
+    def upset_spikes(self, layer: int, step: int, sent: NDArray[Any]) -> NDArray[Any]:
+        """The spikes (B, N) that arrive of those that were sent."""
+        arriving = sent
+        fired = sent != 0
+        if self.upsets.probability("lost-spikes"):
+            lost = self._hit("lost-spikes", (layer, step), fired)
+            arriving = np.where(lost, 0, arriving).astype(sent.dtype)
+        if self.upsets.probability("spurious-spikes"):
+            made_up = self._hit("spurious-spikes", (layer, step), ~fired)
+            arriving = np.where(made_up, 1, arriving).astype(sent.dtype)
+        return arriving
+
+    def flip(self, layer: int, step: int, membrane: NDArray[Any], bits: int) -> NDArray[Any]:
+        """Membranes (B, N) after bits have flipped, in registers of so many bits."""
+        if not self.upsets.probability("state-flips"):
+            return membrane
+        flips = self._hit("state-flips", (layer, step), np.ones(membrane.shape, np.bool_))
+        if not flips.any():
+            return membrane
+        size = membrane.shape[1]
+        which = (uniform(self._keys, (_BIT, layer, self.window, step), size) * bits).astype(int)
+        stored = (membrane & ((1 << bits) - 1)) ^ (np.int64(1) << which)
+        flipped = np.where(stored >> (bits - 1), stored - (1 << bits), stored)
+        return np.where(flips, flipped, membrane)
+
+    def _hit(
+        self, name: str, place: tuple[int, int], chances: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """The chances (B, N) that are hit."""
+        layer, step = place
+        stream = _KINDS[name]
+        draws = uniform(self._keys, (stream, layer, self.window, step), chances.shape[1])
+        hit = chances & (draws < self.upsets.probability(name))
+        self.counts[stream] += np.count_nonzero(hit), np.count_nonzero(chances)
+        return np.asarray(hit)
 
 
 def keys(specimen: int, seeds: Sequence[int]) -> Keys:

@@ -3,10 +3,9 @@
 Short and slow on purpose. Integers are int64 (floats on `ideal` and on SpiNNaker2). Everything fast
 is tested to be equal to this in every current, membrane and spike, and to `count` in every event.
 
-As a backend it runs the chips without kernels, and every chip with upsets: spikes that are lost or
-made up, and bits of membranes that flip. A layer's timestep begins with the flips and ends with the
-loss: a neuron whose spike is lost was reset, one that did not send a spurious spike was not. The
-ledger counts what arrives.
+As a backend it runs the chips without kernels, and every chip with upsets (runtime.chips.damage). A
+layer's timestep begins with the flips and ends with the loss: a neuron whose spike is lost was
+reset, one that did not send a spurious spike was not. The ledger counts what arrives.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.damage import Damage, Keys, Upsets, keys, uniform
+from spikedeploy.runtime.chips.damage import Damage, UpsetDraws
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Numbers, StepResult
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
@@ -57,7 +56,7 @@ class Interpreter:
         have to deliver them.
     """
 
-    def __init__(self, program: Program, batch: int, draws: "UpsetDraws | None" = None) -> None:
+    def __init__(self, program: Program, batch: int, draws: UpsetDraws | None = None) -> None:
         self.program = program
         self.states = {layer.name: LayerState.zero(layer, batch) for layer in program.layers}
         self._draws = draws
@@ -214,66 +213,6 @@ def count(
     return count_events(program, rows, updates, overflows, window_steps, steps, lost)
 
 
-_FLIPS, _LOST, _SPURIOUS, _BIT = range(4)  # streams of draws
-_KINDS = {"state-flips": _FLIPS, "lost-spikes": _LOST, "spurious-spikes": _SPURIOUS}
-
-
-class UpsetDraws:
-    """The draws of a batch of B robots, and how often something was hit.
-
-    seeds: (B,) of their episodes.
-    window: how many windows have run since then.
-    counts: (3, 2) hits and chances of each kind.
-    """
-
-    def __init__(self, upsets: Upsets, batch: int) -> None:
-        self.upsets = upsets
-        self.counts = np.zeros((len(_KINDS), 2), np.int64)
-        self.seed(range(batch))
-
-    def seed(self, seeds: Sequence[int]) -> None:
-        """Start the draws of these episodes; counts go on."""
-        self.seeds = np.array(seeds, np.int64)
-        self._keys: Keys = keys(self.upsets.specimen, self.seeds.tolist())
-        self.window = 0
-
-    def upset_spikes(self, layer: int, step: int, sent: NDArray[Any]) -> NDArray[Any]:
-        """The spikes (B, N) that arrive of those that were sent."""
-        arriving = sent
-        fired = sent != 0
-        if self.upsets.probability("lost-spikes"):
-            lost = self._hit("lost-spikes", (layer, step), fired)
-            arriving = np.where(lost, 0, arriving).astype(sent.dtype)
-        if self.upsets.probability("spurious-spikes"):
-            made_up = self._hit("spurious-spikes", (layer, step), ~fired)
-            arriving = np.where(made_up, 1, arriving).astype(sent.dtype)
-        return arriving
-
-    def flip(self, layer: int, step: int, membrane: Numbers, bits: int) -> Numbers:
-        """Membranes (B, N) after bits have flipped, in registers of so many bits."""
-        if not self.upsets.probability("state-flips"):
-            return membrane
-        flips = self._hit("state-flips", (layer, step), np.ones(membrane.shape, np.bool_))
-        if not flips.any():
-            return membrane
-        size = membrane.shape[1]
-        which = (uniform(self._keys, (_BIT, layer, self.window, step), size) * bits).astype(int)
-        stored = (membrane & ((1 << bits) - 1)) ^ (np.int64(1) << which)
-        flipped = np.where(stored >> (bits - 1), stored - (1 << bits), stored)
-        return np.where(flips, flipped, membrane)
-
-    def _hit(
-        self, name: str, place: tuple[int, int], chances: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
-        """The chances (B, N) that are hit."""
-        layer, step = place
-        stream = _KINDS[name]
-        draws = uniform(self._keys, (stream, layer, self.window, step), chances.shape[1])
-        hit = chances & (draws < self.upsets.probability(name))
-        self.counts[stream] += np.count_nonzero(hit), np.count_nonzero(chances)
-        return np.asarray(hit)
-
-
 class InterpreterBackend:
     """An Interpreter as a Backend; a reset of states leaves the draws of upsets as they are."""
 
@@ -310,14 +249,7 @@ class InterpreterBackend:
     @property
     def damage(self) -> tuple[Damage, ...]:
         """Hits of upsets so far."""
-        if (draws := self._draws) is None:
-            return ()
-        hits = {name: draws.counts[stream].tolist() for name, stream in _KINDS.items()}
-        return tuple(
-            Damage(u.text, u.name, u.probability, hit, of, u.what, over_time=True)
-            for u in draws.upsets.each
-            for hit, of in [hits[u.name]]
-        )
+        return () if self._draws is None else self._draws.damage
 
     def run(self, rows: NDArray[Any], step: int | None = None) -> NDArray[Any]:
         """Spikes (T, B, N) as they reach the readout, from those of the input (T, B, M)."""

@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.codec.codec import Codec, EventEncoder, Normaliser, PopulationEncoder
+from spikedeploy.runtime.codec.codec import (
+    Codec,
+    DeltaEncoder,
+    EventEncoder,
+    Normaliser,
+    PopulationEncoder,
+    RateEncoder,
+)
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
 from spikedeploy.runtime.metadata import Record
 from tests.networks import codec
@@ -114,21 +121,6 @@ def test_a_codec_that_cannot_work_is_refused(change, message):
         Codec(**{**parts, **change})
 
 
-@pytest.mark.parametrize(("mean", "std"), [(0.0, 0.0), (0.0, np.nan), (np.nan, 1.0)])
-def test_receptive_fields_and_scales_that_are_none_are_refused(mean, std):
-    with pytest.raises(ArtifactError, match="normaliser: mean must be finite"):
-        Normaliser(np.full(2, mean), np.full(2, std), 5.0)
-    with pytest.raises(ArtifactError, match="population encoder: mean must be finite"):
-        PopulationEncoder(np.full((2, 3), mean), np.full((2, 3), std))
-
-
-def test_parameters_of_different_shapes_are_refused():
-    with pytest.raises(ArtifactError, match=r"shape \(obs,\), found \(2,\) and \(3,\)"):
-        Normaliser(np.zeros(2), np.ones(3), 5.0)
-    with pytest.raises(ArtifactError, match=r"shape \(obs, P\), found \(2,\) and \(2,\)"):
-        PopulationEncoder(np.zeros(2), np.ones(2))
-
-
 def test_an_output_with_the_wrong_number_of_timesteps_is_refused():
     with pytest.raises(ObservationError, match=r"\(B, 5, act\)"):
         codec(3).decode(np.zeros((1, 4, 2)))
@@ -151,9 +143,46 @@ def test_counts_of_events_become_spikes(code, spikes):
     assert vars(again) == vars(encoder)
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"), [({"polarities": 3}, "3 polarities"), ({"most": 0}, "found 0")]
-)
-def test_an_event_encoder_that_contradicts_itself_is_refused(fields, message):
-    with pytest.raises(ArtifactError, match=message):
-        EventEncoder(4, **fields)
+def population(mean, std):
+    return PopulationEncoder(np.full((2, 3), mean), np.full((2, 3), std))
+
+
+def normaliser(mean, std):
+    return Normaliser(np.full(2, mean), np.full(2, std), 5.0)
+
+
+def rate(high, mode="regular"):
+    return RateEncoder(np.zeros(2), np.array(high), mode)
+
+
+def delta(step, **fields):
+    return DeltaEncoder(np.array(step), **fields)
+
+
+# what makes an encoder or a normaliser, its arguments, what is said of them
+REFUSED = [
+    *((make, numbers, {}, "mean must be finite")
+      for make in (population, normaliser) for numbers in ((0, 0), (0, np.nan), (np.nan, 1))),
+    (Normaliser, (np.zeros(2), np.ones(3), 5.0), {}, r"\(2,\) and \(3,\)"),
+    (PopulationEncoder, (np.zeros(2), np.ones(2)), {}, r"\(2,\) and \(2,\)"),
+    (EventEncoder, (4,), {"polarities": 3}, "3 polarities"),
+    (EventEncoder, (4,), {"most": 0}, "found 0"),
+    (rate, ([1.0, 1.0, 1.0],), {}, r"\(2,\) and \(3,\)"),
+    (rate, ([1.0, 0.0],), {}, r"found 0\.0 and 0\.0 at index 1"),
+    (rate, ([1.0, np.inf],), {}, "must be finite"),
+    (rate, ([1.0, 1.0], "poisson"), {}, "'poisson' is unknown"),
+    (delta, ([0.5, 0.0],), {}, r"above 0, found 0\.0"),
+    (delta, ([np.nan],), {}, "above 0, found nan"),
+    (delta, ([[0.5]],), {}, r"found shape \(1, 1\)"),
+    (delta, ([0.5],), {"most": 0}, "from 1 to 256, found 0"),
+    (delta, ([0.5],), {"most": 257}, "from 1 to 256, found 257"),
+    (delta, ([0.5],), {"code": "binary"}, "code 'binary' is unknown"),
+    (delta, ([0.5],), {"threshold": 127}, "from 128 to 768 .* found 127"),
+    (delta, ([0.5],), {"threshold": 300, "most": 1}, "from 128 to 256 .* found 300"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "numbers", "fields", "said"), REFUSED)
+def test_numbers_that_are_none_are_refused_with_their_limit(make, numbers, fields, said):
+    with pytest.raises(ArtifactError, match=said):
+        make(*numbers, **fields)

@@ -4,7 +4,6 @@ import torch
 
 from spikedeploy.runtime.codec.codec import Codec, Normaliser
 from spikedeploy.runtime.codec.rate import RateEncoder, Xorshift
-from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.metadata import Record
 from spikedeploy.trainers.policies.spiking import TorchRateEncoder as TorchEncoder
 
@@ -73,17 +72,3 @@ def test_a_codec_of_rates_survives_its_record(mode):
     x = np.random.default_rng(0).uniform(-1, 1, (20, 3))
     np.testing.assert_array_equal(before.encode(x), after.encode(x))
     assert (after.encoder.mode, after.squash, after.chooses) == (mode, "argmax", True)
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "mode", "message"),
-    [
-        (np.zeros(2), np.ones(3), "regular", r"shape \(obs,\), found \(2,\) and \(3,\)"),
-        (np.zeros(2), np.array([1.0, 0.0]), "regular", r"found 0\.0 and 0\.0 at index 1"),
-        (np.zeros(2), np.array([1.0, np.inf]), "regular", "must be finite"),
-        (np.zeros(2), np.ones(2), "poisson", "'poisson' is unknown; known are regular, bernoulli"),
-    ],
-)
-def test_ranges_and_modes_that_are_none_are_refused(low, high, mode, message):
-    with pytest.raises(ArtifactError, match=message):
-        RateEncoder(low, high, mode)

@@ -54,22 +54,3 @@ def test_a_lif_neuron_worked_by_hand_spikes_alike_on_every_rung():
     # 255 / 2.55 = 100 mantissas of 64 state units for one float unit; halves are exact
     ran = trace(compile_program(artifact, LOIHI1), raster)["n2"].membrane.ravel().tolist()
     assert ran == [0, -3200, 1600, 13920, 10160, 0, 3200]
-
-
-def test_a_membrane_that_leaks_in_twelve_bits_worked_by_hand():
-    # beta 0.9 is 3686 / 4096, and what is left is rounded toward zero; the threshold is 19200
-    #
-    # t   input   255 * 64 = 16320 at a time       -100 * 64 = -6400 at a time
-    # 0   1       16320                            -6400
-    # 1   0       14686.4 -> 14686                 -5759.4 -> -5759
-    # 2   0       13215.97 -> 13215                -5182.5 -> -5182
-    # 3   1       11892.2 -> 11892, 28212: spike   -4663.3 -> -4663, -11063
-    artifact = neurons([[2.55], [-1.0]], [0.0, 0.0], beta=0.9, threshold=3.0)
-    raster = np.array([[[1], [0], [0], [1]]], np.uint8)
-    program = compile_program(artifact, LOIHI1)
-    machine = Machine(program, trace=True)
-    machine.infer(raster)
-    for ran in (trace(program, raster)["n2"], machine.recordings["n2"]):
-        assert ran.membrane[0, :, 0].tolist() == [16320, 14686, 13215, 0]
-        assert ran.membrane[0, :, 1].tolist() == [-6400, -5759, -5182, -11063]
-        assert ran.spikes[0, :, 0].tolist() == [0, 0, 0, 1]
