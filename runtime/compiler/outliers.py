@@ -87,17 +87,16 @@ def _candidates(
             )
             yield _Candidate(found, remedy, _divided(layer, reach), quantisation)
     for k, synapses in enumerate(layer.synapses):
-        axis, shape, of = (1, (-1, 1), "number")
-        if synapses.window is not None:
-            axis, shape, of = ((0, 2, 3), (1, -1, 1, 1), "channel")
-        reach = np.abs(synapses.weight).max(axis=axis)
+        kernel = synapses.window is not None
+        reach = np.abs(synapses.weight).max(axis=(0, 2, 3) if kernel else 1)
         if (large := _largest(reach)) is None:
             continue
         usual = float(np.median(reach[reach > 0]))
         factors = np.where(reach > _LARGE * usual, usual / np.maximum(reach, usual), 1.0)
+        shape = (1, -1, 1, 1) if kernel else (-1, 1)
         less = replace(synapses, weight=synapses.weight * factors.reshape(shape))
         others = (*layer.synapses[:k], less, *layer.synapses[k + 1 :])
-        source = f"from {synapses.source!r} {of} {large[0]}"
+        source = f"from {synapses.source!r} {'channel' if kernel else 'number'} {large[0]}"
         yield _Candidate(
             f"the largest weight is {large[1]:.3g} x the others', {source}",
             "make its weights smaller and its spikes more, or give it several inputs; no scale of "
