@@ -109,11 +109,13 @@ class UpsetDraws:
     @property
     def damage(self) -> tuple[Damage, ...]:
         """Hits of each upset so far, and chances."""
-        hits = {name: self.counts[stream].tolist() for name, stream in _KINDS.items()}
-        return tuple(
-            Damage(u.text, u.name, u.probability, *hits[u.name], u.what, over_time=True)
-            for u in self.upsets.each
-        )
+        found = []
+        for each in self.upsets.each:
+            hit, of = self.counts[_KINDS[each.name]].tolist()
+            found.append(
+                Damage(each.text, each.name, each.probability, hit, of, each.what, over_time=True)
+            )
+        return tuple(found)
 
     def upset_spikes(self, layer: int, step: int, sent: NDArray[Any]) -> NDArray[Any]:
         """The spikes (B, N) that arrive of those that were sent."""
