@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
 from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
-from spikedeploy.runtime.chips.quantisation import CHOICES, Quantisation
+from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, decay, magnitude, round_values
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ChipError, RuleError
@@ -284,8 +284,9 @@ class CubaFloat64(ArithmeticDefaults):
     weight_bits: ClassVar[int] = 32
     state_bits: ClassVar[tuple[int, ...]] = (32, 32)
     graded_bits: ClassVar[int | None] = _GRADED_BITS_FLOAT
-    # nothing is rounded, so that all are accepted
-    choices: ClassVar[tuple[str, ...]] = CHOICES
+
+    def check_quantisation(self, quantisation: Quantisation, chip_name: str) -> None:
+        """Accept every choice, since nothing is rounded."""
 
     def prepare(
         self,
