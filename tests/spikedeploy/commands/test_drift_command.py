@@ -210,12 +210,3 @@ def test_run_and_compare_take_the_same_quantisation_and_report_it(command, strol
     (on_chip,) = [row for row in found["rows"] if row["chip"] == "loihi1"]
     assert on_chip["returns"] == channel["rows"][0]["returns"]
     assert found["conventions"]["popsan"] == said
-
-
-def test_few_thresholds_are_asked_for_with_scales_of_neurons(command, raster):
-    words = ("drift", "p.nir", "--input", "raster.npy", "--thresholds", 4, "--json")
-    found = json.loads(command(*words, "--quantise", "channel")[1])
-    assert "a scale for each channel with at most 4 thresholds" in found["quantisation"]
-    code, _, err = command(*words)
-    assert code == 2
-    assert "needs a scale for each 'channel'" in err
