@@ -2,9 +2,9 @@
 
 States are float64, which holds 24-bit states and their products with 12-bit decays exactly, and
 needs two calls where integers need five: trunc(x * decay) is the decay toward zero. Overflow is not
-checked in every timestep: either the bounds prove that no number can be too large, or that so few
-spikes cannot make one, or the states are looked at afterwards. A window that did overflow, which is
-rare, is computed once more by the interpreter.
+checked in every timestep: either the bounds prove that no number can be too large, or the states
+are looked at afterwards. A window that did overflow, which is rare, is computed once more by the
+interpreter.
 
 Spikes become sums of weights by a product of all axons, by one of those alone that spike, or row by
 row, of which a fixed rule on their density chooses. All sum whole numbers that their number type is
@@ -35,11 +35,7 @@ from spikedeploy.runtime.emulator.backend import (
 from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, LedgerBuilder, count_events
 from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 from spikedeploy.runtime.families.cuba.neurons import update
-from spikedeploy.runtime.families.cuba.quantise import (
-    bounds,
-    register_limit,
-    spikes_without_overflow,
-)
+from spikedeploy.runtime.families.cuba.quantise import bounds, register_limit
 
 Numbers = NDArray[Any]
 
@@ -176,10 +172,6 @@ class KernelSummation:
         np.add(self._out, self._bias, self._out)
 
 
-# from so many neurons on two calls without a branch are faster than putmask
-_WIDE = 4096
-
-
 class LayerWindow:
     """One layer, ready to run windows of T timesteps for a batch of B, in the same memory.
 
@@ -246,9 +238,6 @@ class LayerWindow:
             or limits.drive > register_limit(fixed.accumulator)
             or pushed > register_limit(fixed.push)
         )
-        self._safe = -1
-        if timesteps is not None:
-            self._safe = spikes_without_overflow(layer, fixed, timesteps, limit)
         return limits.partial
 
     def _prepare_update(self, layer: Layer, fixed: CubaFixedPoint | None) -> None:
@@ -268,13 +257,10 @@ class LayerWindow:
             (states[t, decaying], states[t + 1, decaying], *states[t + 1], self._sums[t], spikes)
             for t, spikes in enumerate(self.spikes)
         ]
-        self._silent = np.empty_like(self.spikes[0])
         self._reset_spiking: Callable[[Numbers, Numbers, Any], None] = np.putmask
         self._to: Any = np.zeros(1)
         if self._program.convention.reset == "subtract":
             self._reset_spiking, self._to = _subtract, self._threshold
-        elif self.spikes[0].size >= _WIDE and fixed:
-            self._reset_spiking = self._silence
 
     def reset(self) -> None:
         """Forget the state."""
@@ -292,7 +278,7 @@ class LayerWindow:
             np.add(self._sums, self._more, self._sums)
         self._update()
         self.overflows = None
-        if self._fixed and not self._fits(presynaptic):
+        if self._fixed and not self._fits():
             self._interpret(self._fixed)
         return Raster(self.spikes)
 
@@ -339,20 +325,14 @@ class LayerWindow:
         if not has_current:
             np.copyto(self.states[1:, 0], self._sums)
 
-    def _silence(self, membrane: Numbers, spikes: Numbers, _: Any) -> None:  # noqa: ANN401
-        np.logical_not(spikes, self._silent)
-        np.multiply(membrane, self._silent, membrane)
-
-    def _fits(self, presynaptic: Sequence[Raster]) -> bool:
+    def _fits(self) -> bool:
         """True where no register overflowed in the window; False may be a false alarm.
 
-        What the bounds prove costs nothing; where they leave something open, so few spikes may not
-        be able to overflow; else the largest and the smallest state are looked for.
+        What the bounds prove costs nothing; where they leave something open, the largest and the
+        smallest state are looked for.
         """
         if self._never or not self._open:
             return not self._never
-        if self._safe >= 0 and sum([raster.spikes() for raster in presynaptic]) <= self._safe:
-            return True
         # what max() and min() do, without their overhead in Python
         highest = float(np.maximum.reduce(self.states, axis=None))
         lowest = float(np.minimum.reduce(self.states, axis=None))

@@ -361,28 +361,6 @@ def bounds(
     )
 
 
-def spikes_without_overflow(
-    layer: Layer, registers: CubaRegisters, timesteps: int, most: int
-) -> int:
-    """Spikes in a window of T timesteps from zero that can take no state beyond `most`.
-
-    Each adds at most the largest weight to the sum of the magnitudes that arrive, and no state
-    exceeds that sum times the peak that follows a single arrival.
-    """
-    one = 1 << registers.mantissa_shift
-    # of a current or a membrane after a single arrival of 1, without rounding
-    current_factor, membrane_factor = _factors(layer, registers)
-    current, membrane, peak = np.ones(layer.size), np.ones(layer.size), 1.0
-    for _ in range(timesteps):
-        current = current_factor * current
-        membrane = membrane_factor * membrane + current
-        peak = max(peak, float(membrane.max()))
-    numbers = (layer.bias, layer.voltage_bias, *(s.weight for s in layer.synapses))
-    bias, push, *weights = (int(magnitude(each.astype(np.int64))) for each in numbers)
-    left = most / peak - timesteps * (bias * one + push)
-    return max(-1, int(left // (max(weights) * one))) if max(weights) else -1
-
-
 def _factors(layer: Layer, registers: CubaRegisters) -> tuple[Floats, Floats]:
     """The parts that currents and membranes (N,) keep."""
     one = float(registers.decay_one)
