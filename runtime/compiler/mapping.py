@@ -18,7 +18,7 @@ holds it.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
@@ -401,47 +401,30 @@ def _log2(number: int) -> int:
 # shares of what there is
 
 
-@dataclass(frozen=True)
-class Utilisation:
-    """Shares of 1; None where the chip has no such limit.
-
-    neurons: of the cores that are taken.
-    memory: of their synaptic memory, each counted as the fullest of its layer.
-    axons_in, axons_out: likewise.
-    """
-
-    neurons: float | None
-    memory: float | None
-    axons_in: float | None
-    axons_out: float | None
+# of neurons, memory, axons_in and axons_out, of 1; None where the chip has no such limit
+Shares: TypeAlias = dict[str, float | None]
 
 
-def placement_utilisation(placement: Placement, limits: Limits) -> Utilisation:
-    """The utilisation of the fullest core of a layer."""
-    if limits.layer_cores and placement.first is not None:
-        core = limits.layer_cores[placement.first]
-        memory = (placement.memory or 0) / core.kernel
-        return Utilisation(placement.block / core.neurons, memory, None, None)
-    return _shares([replace(placement, cores=1, neurons=placement.block)], limits)
+def placement_utilisation(placement: Placement, limits: Limits) -> Shares:
+    """The shares of the fullest core of a layer that are taken."""
+    if not limits.layer_cores or placement.first is None:
+        return mapping_utilisation([replace(placement, cores=1, neurons=placement.block)], limits)
+    core = limits.layer_cores[placement.first]
+    memory, neurons = (placement.memory or 0) / core.kernel, placement.block / core.neurons
+    return {"neurons": neurons, "memory": memory, "axons_in": None, "axons_out": None}
 
 
-def mapping_utilisation(mapping: CoreMapping, limits: Limits) -> Utilisation:
-    """The utilisation of all cores that are taken."""
-    return _shares(mapping.placements, limits)
-
-
-def _shares(placed: Sequence[Placement], limits: Limits) -> Utilisation:
+def mapping_utilisation(placed: Sequence[Placement], limits: Limits) -> Shares:
+    """The shares of all cores that are taken; each core counts as the fullest of its layer."""
     cores = sum(placement.cores for placement in placed)
 
-    def share(taken: Iterable[int], most: int | None) -> float | None:
-        return sum(taken) / (most * cores) if most and cores else None
+    def share(taken: int, most: int | None) -> float | None:
+        return taken / (most * cores) if most and cores else None
 
-    return Utilisation(
-        neurons=share((p.neurons for p in placed), limits.neurons_per_core),
-        memory=share(
-            ((p.memory or 0) * p.cores for p in placed),
-            None if limits.memory is None else limits.memory.size,
-        ),
-        axons_in=share((p.axons_in * p.cores for p in placed), limits.axons_in),
-        axons_out=share((p.axons_out * p.cores for p in placed), limits.axons_out),
-    )
+    memory = None if limits.memory is None else limits.memory.size
+    return {
+        "neurons": share(sum(p.neurons for p in placed), limits.neurons_per_core),
+        "memory": share(sum((p.memory or 0) * p.cores for p in placed), memory),
+        "axons_in": share(sum(p.axons_in * p.cores for p in placed), limits.axons_in),
+        "axons_out": share(sum(p.axons_out * p.cores for p in placed), limits.axons_out),
+    }

@@ -136,12 +136,10 @@ def network_path(reference: str) -> Path:
 
 def _chip(found: DesignCheck) -> dict[str, Any]:
     limits, program = found.chip.limits, found.program
-    placements = [
-        {
-            **asdict(placement),
-            "utilisation": limits and asdict(placement_utilisation(placement, limits)),
-        }
-        for placement in found.mapping.placements
+    placements = found.mapping.placements
+    layers = [
+        {**asdict(each), "utilisation": limits and placement_utilisation(each, limits)}
+        for each in placements
     ]
     return {
         "chip": found.chip.name,
@@ -156,8 +154,8 @@ def _chip(found: DesignCheck) -> dict[str, Any]:
         "mapping": {
             "cores": found.mapping.cores,
             "chips": found.mapping.chips,
-            "utilisation": limits and asdict(mapping_utilisation(found.mapping, limits)),
-            "layers": placements,
+            "utilisation": limits and mapping_utilisation(placements, limits),
+            "layers": layers,
         },
         "limits": limits and asdict(limits),
     }

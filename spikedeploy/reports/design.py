@@ -12,6 +12,7 @@ from spikedeploy.runtime.chips.chip import Limits
 from spikedeploy.runtime.compiler.compile import COMPILE, DesignCheck
 from spikedeploy.runtime.compiler.mapping import (
     Placement,
+    Shares,
     mapping_utilisation,
     placement_utilisation,
 )
@@ -22,7 +23,6 @@ from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IN_TIMEST
 LEGEND = "✓ keeps the rule   ✗ breaks it   ? no limit is published   · not applicable"
 _MARKS = {"pass": "✓", "fail": "✗", "unknown": "?", "not applicable": "·"}
 _CHIPS_PER_TABLE = 8  # on the terminal
-_SHARES = ("neurons", "memory", "axons_in", "axons_out")  # of the fullest core
 
 
 def print_report(report: DesignReport, everything: bool = True) -> None:
@@ -138,7 +138,7 @@ def _layers(check: DesignCheck, limits: Limits) -> Table:
         neurons, synapses = (
             sum(getattr(p, k) for p in placements) for k in ("neurons", "synapses")
         )
-        shares = mapping_utilisation(check.mapping, limits)
+        shares = mapping_utilisation(placements, limits)
         total = (f"{neurons:,}", "", "", f"{synapses:,}", f"{cores:,}", "")
         rows.append(("total", *total, *_percent(shares)))
     heads = ("layer", "neurons", "fan-in", "fan-out", "synapses", "cores", "per core")
@@ -161,9 +161,8 @@ def _cores(placement: Placement) -> str:
     return f"{placement.cores:,} ({which})"
 
 
-def _percent(shares: Any) -> list[str]:  # noqa: ANN401
-    found = [getattr(shares, name) for name in _SHARES]
-    return [ABSENT if share is None else f"{share:.1%}" for share in found]
+def _percent(shares: Shares) -> list[str]:
+    return [ABSENT if share is None else f"{share:.1%}" for share in shares.values()]
 
 
 # the page

@@ -159,11 +159,13 @@ def test_utilisation_is_what_is_taken_of_what_there_is():
     found = placed(dense(770, 512, 512, 180), MIXED)
     layer = next(p for p in found.placements if p.name == "n4")
     shares = placement_utilisation(layer, MIXED.limits)
-    assert shares.neurons == 171 / 1024
-    assert shares.memory == 513 * 192 / (128 * 1024)
-    assert shares.axons_in == 513 / 4096
+    assert shares["neurons"] == 171 / 1024
+    assert shares["memory"] == 513 * 192 / (128 * 1024)
+    assert shares["axons_in"] == 513 / 4096
     # 770 encoders, 1204 neurons and the bias in ten cores
-    assert mapping_utilisation(found, MIXED.limits).neurons == pytest.approx(1975 / 10240)
+    assert mapping_utilisation(found.placements, MIXED.limits)["neurons"] == pytest.approx(
+        1975 / 10240
+    )
 
 
 def test_a_linear_map_behind_a_flatten_is_a_kernel():
