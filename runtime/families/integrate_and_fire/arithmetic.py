@@ -45,10 +45,8 @@ _REMEDIES = {
 }
 
 
-def check_axons(layers: Sequence[Layer], chip_name: str, rules: IntegrateAndFireRules) -> None:
-    """Refuse weights that the chip's axons cannot carry, however many bits they have."""
-    if rules.signs == "axon":
-        _check_signs(layers, chip_name)
+def check_axon_types(layers: Sequence[Layer], chip_name: str, rules: IntegrateAndFireRules) -> None:
+    """Refuse weights that need more types of axons than the chip has."""
     for layer in layers if rules.axon_types else ():
         found = axon_types(
             np.concatenate([s.dense("a core of typed axons").weight for s in layer.synapses])
@@ -99,26 +97,6 @@ def _check_neurons(
             f"{layer.membrane_decay[other].min():.3g} of its membrane; "
             f"{_REMEDIES[rules.leak].format(chip=chip_name)}"
         )
-
-
-def _check_signs(layers: Sequence[Layer], chip_name: str) -> None:
-    """Refuse a neuron that excites some targets and inhibits others, in whichever layers."""
-    signs: dict[str, tuple[Any, Any]] = {}
-    for layer in layers:
-        for synapses in layer.synapses:
-            up, down = (
-                replace(synapses, weight=some).fan_out > 0
-                for some in (synapses.weight > 0, synapses.weight < 0)
-            )
-            before = signs.get(synapses.source, (False, False))
-            signs[synapses.source] = up, down = before[0] | up, before[1] | down
-            if (both := np.flatnonzero(up & down)).size:
-                raise RuleError(
-                    f"rule sign: layer {layer.name!r}: {both.size} of {up.size} axons from "
-                    f"{synapses.source!r} have weights of both signs, the first is axon {both[0]}; "
-                    f"on {chip_name} an axon has one. Train with signed axons, or compile with "
-                    "limits off."
-                )
 
 
 def _check_events(layers: Sequence[Layer], network_input: str) -> None:
@@ -372,7 +350,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         rounding = quantisation.rounding
         layers = [quantise(layer, chip_name, self, rounding, limits) for layer in network.layers]
         if limits:
-            check_axons(layers, chip_name, self)
+            check_axon_types(layers, chip_name, self)
         return layers
 
     def update(
