@@ -27,7 +27,7 @@ class LeakySixBits(ArithmeticDefaults):
     def state_bits(self):
         return (self.membrane.bits,)
 
-    def quantise(self, network, quantisation, chip_name, timesteps, limits):
+    def quantise(self, network, quantisation, timesteps, limits):
         rounding = quantisation.rounding or "nearest"
         most = (1 << (self.weight_bits - 1)) - 1
         return [self._quantised(layer, most, rounding) for layer in network.layers]

@@ -33,11 +33,11 @@ from torch.autograd.function import once_differentiable
 
 from spikedeploy.runtime.artifact.artifact import Artifact, save
 from spikedeploy.runtime.chips.chip import Chip, chip
+from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.compile import Recompiler
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
-from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from spikedeploy.runtime.families.numba_frame import kept_on_disk
@@ -422,9 +422,7 @@ class _Records:
             return None
         program, layer = self._program, self._program.layer(name)
         arithmetic, convention = program.chip.arithmetic, program.convention
-        before = arithmetic.before_reset(
-            layer, convention, recorded.current, recorded.membrane, recorded.spikes
-        )
+        before = arithmetic.before_reset(layer, convention, recorded)
         last = name == program.output
         most = getattr(arithmetic, "output_spikes_max", arithmetic.spikes_max)
         behind = time_first(recorded.membrane, like, layer.scale)

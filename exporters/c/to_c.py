@@ -25,11 +25,11 @@ from spikedeploy.exporters.c.packaging import (
 )
 from spikedeploy.exporters.c.plan import Plan
 from spikedeploy.exporters.c.refusals import check_codec, check_prefix, check_program
-from spikedeploy.runtime.chips.layer import Synapses
+from spikedeploy.runtime.chips.layer import Recording, Synapses
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import Recording, concatenate_recordings
+from spikedeploy.runtime.emulator.backend import concatenate_recordings
 from spikedeploy.runtime.emulator.machine import Machine
 
 # numbers of a self-test, about; at least two inferences are recorded

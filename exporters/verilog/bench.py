@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from spikedeploy.exporters.verilog.image import FORGET, STEP, CoreImage, Output
 from spikedeploy.exporters.verilog.to_verilog import hex_text
+from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.codec.codec import Codec
-from spikedeploy.runtime.emulator.backend import BackendName, Recording
+from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.machine import Machine
 
 Integers = NDArray[np.int64]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import Recording
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.float_model import FloatGraph, FloatNeurons
@@ -157,9 +157,7 @@ def chip_activity(program: Program, raster: NDArray[Any]) -> Activity:
         spikes={layer.name: seen[layer.name].spikes for layer in program.spiking},
         reached={
             layer.name: layer.scale
-            * program.chip.arithmetic.before_reset(
-                layer, program.convention, each.current, each.membrane, each.spikes
-            )
+            * program.chip.arithmetic.before_reset(layer, program.convention, each)
             for layer in program.spiking
             for each in [seen[layer.name]]
         },

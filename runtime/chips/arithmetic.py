@@ -16,6 +16,7 @@ from spikedeploy.runtime.chips.layer import (
     LayerState,
     Network,
     Numbers,
+    Recording,
     StepResult,
     Synapses,
     with_starts,
@@ -118,29 +119,25 @@ class ArithmeticDefaults(Protocol):
                 )
 
     def prepare(
-        self,
-        layers: Sequence[Layer],
-        network_input: str,
-        convention: Convention,
-        delay: int,
-        stagger: bool,
+        self, layers: Sequence[Layer], source: str, convention: Convention, delay: int, waits: bool
     ) -> tuple[list[Layer], list[str]]:
         """The float layers with starts and delays, and remarks on what is not as in the file.
 
         layers: with the lags of the graph for delays, all starting at once.
+        source: name of the network's input.
         delay: [timesteps] from a spike to its arrival on the chip.
-        stagger: start each layer when the first spikes can reach it.
+        waits: start each layer when the first spikes can reach it.
         """
         differs = convention.spikes == "reached" and not self.spikes_at_threshold
         remarks = [_AT_THRESHOLD] if differs else []
         input_delay = self.input_delay(delay)
-        return with_starts(layers, network_input, delay, stagger, input_delay), remarks
+        return with_starts(layers, source, delay, waits, input_delay), remarks
 
     def input_delay(self, delay: int) -> int:
         """Delay of the network's input [timesteps] on a chip with this delay of spikes."""
         return delay
 
-    def check_output(self, network: Network, chip_name: str) -> None:
+    def check_output(self, network: Network) -> None:
         """Refuse an output layer whose spikes cannot leave the chip."""
         return
 
@@ -167,10 +164,6 @@ class ArithmeticDefaults(Protocol):
         """Lists that hold the weights of an axon: 2 where each sign has its own."""
         return 1
 
-    def with_one_list(self) -> "Arithmetic | None":
-        """Return it with weights of both signs in one list; None without that choice."""
-        return None
-
     # used by the analysis and the metrics
 
     @property
@@ -185,24 +178,16 @@ class ArithmeticDefaults(Protocol):
         """
         raise ConfigError(f"rounding step {step!r}: this arithmetic has no such step.")
 
-    def before_reset(
-        self,
-        layer: Layer,
-        convention: Convention,
-        current: Numbers,
-        membrane: Numbers,
-        spikes: Numbers,
-    ) -> Numbers:
+    def before_reset(self, layer: Layer, convention: Convention, ran: Recording) -> Numbers:
         """Membranes (B, T, N) before a spike reset them [state units]; NaN where none can tell.
 
-        current, membrane: (B, T, N) after each timestep [state units].
-        spikes: (B, T, N).
+        ran: what the layer did.
         """
         if not layer.spiking:
-            return membrane
+            return ran.membrane
         if convention.reset == "subtract":
-            return np.asarray(membrane + layer.threshold * spikes)
-        return np.where(spikes > 0, np.nan, membrane)
+            return np.asarray(ran.membrane + layer.threshold * ran.spikes)
+        return np.where(ran.spikes > 0, np.nan, ran.membrane)
 
 
 class Arithmetic(ArithmeticDefaults, Protocol):
@@ -226,12 +211,7 @@ class Arithmetic(ArithmeticDefaults, Protocol):
         """Spikes of a neuron in a timestep."""
 
     def quantise(
-        self,
-        network: Network,
-        quantisation: Quantisation,
-        chip_name: str,
-        timesteps: int | None,
-        limits: bool,
+        self, network: Network, quantisation: Quantisation, timesteps: int | None, limits: bool
     ) -> Sequence[Layer]:
         """The float layers of the network in the numbers of the chip.
 

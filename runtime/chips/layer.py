@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -14,6 +14,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 
 Numbers = NDArray[Any]
+AnyRecording = TypeVar("AnyRecording", bound="Recording")
 
 # threshold of neurons that never spike, in integers: no membrane comes near it
 NEVER = 1 << 60
@@ -205,6 +206,10 @@ class Network(Protocol):
     """The network that layers belong to, as arithmetics see it; Program is one."""
 
     @property
+    def chip_name(self) -> str:
+        """Name of the chip, for errors."""
+
+    @property
     def convention(self) -> Convention:
         """Convention of the artifact."""
 
@@ -272,6 +277,27 @@ class StepResult:
     active: NDArray[np.bool_ | np.int64]
     overflows: NDArray[np.int64]
     lost: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Currents, membranes and spikes of a layer in a window; integers on integer chips.
+
+    current: (B, T, N) after each timestep [state units]; (B, T, K, N) where neurons have K.
+    membrane: (B, T, N) after each timestep, resets included [state units].
+    spikes: (B, T, N); of sigma-delta neurons signed numbers in int64.
+    """
+
+    current: NDArray[Any]
+    membrane: NDArray[Any]
+    spikes: NDArray[np.integer[Any]]
+
+    def part(self: AnyRecording, window: slice) -> AnyRecording:
+        """Return the recording of some of the timesteps."""
+        parts: dict[str, Any] = {
+            name: None if rows is None else rows[:, window] for name, rows in vars(self).items()
+        }
+        return replace(self, **parts)
 
 
 def with_starts(

@@ -81,7 +81,7 @@ def _compile(
 
     def quantise(floats: Sequence[Layer], chosen: Quantisation) -> Sequence[Layer]:
         network = replace(program, layers=tuple(floats))
-        return chip.arithmetic.quantise(network, chosen, chip.name, rows, limits=limits)
+        return chip.arithmetic.quantise(network, chosen, rows, limits=limits)
 
     layers = quantise(program.layers, quantisation)
     if placed:  # last: the compiler itself is more precise
@@ -132,7 +132,7 @@ class Recompiler:
         artifact, chip = self._artifact.with_numbers(numbers), self._chip
         program = float_program(artifact, chip, layer_graph(self._lowered, artifact), self._clock)
         rows = _rows(artifact, program)
-        layers = chip.arithmetic.quantise(program, PLAIN, chip.name, rows, limits=self._limits)
+        layers = chip.arithmetic.quantise(program, PLAIN, rows, limits=self._limits)
         return replace(program, layers=tuple(layers))
 
 
@@ -221,7 +221,7 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
         host=tuple(host),
         clock=clock,
     )
-    arithmetic.check_output(program, chip.name)
+    arithmetic.check_output(program)
     return program
 
 

@@ -142,6 +142,11 @@ class Program:
         """The input (B, T, M), from the raster (B, T, *shape) of each Input node."""
         return concatenate(self.inputs, rasters)
 
+    @property
+    def chip_name(self) -> str:
+        """Name of the chip that it runs on."""
+        return self.chip.name
+
     def layer(self, name: str) -> Layer:
         """The layer called `name`."""
         return self._by_name[name]

@@ -577,18 +577,8 @@ def _cores(design: PlacedNetwork) -> Results:
         yield _unknown(None, found, "cores")
     else:
         remedy = "Prune the network, or make its layers smaller."
-        result = _at_most(None, found, limits.cores, "cores", remedy, _with_one_list(design))
+        result = _at_most(None, found, limits.cores, "cores", remedy)
         yield result if limits.alone else replace(result, status="pass")
-
-
-def _with_one_list(design: PlacedNetwork) -> str:
-    """Describe what the other way to store signs would take."""
-    if (one_list := design.chip.arithmetic.with_one_list()) is None:
-        return ""
-    found = map_to_cores(design.network, replace(design.chip, arithmetic=one_list)).cores
-    if found == design.mapping.cores:
-        return ""
-    return f"{found} where both signs share a list (sign_mode 'mixed')"
 
 
 def _chips(design: PlacedNetwork) -> Results:

@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Literal, Protocol, TypeAlias, TypeVar, get_args
+from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from spikedeploy.runtime import choices
+from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import LedgerBuilder
 from spikedeploy.runtime.errors import ConfigError, ObservationError
@@ -33,28 +34,6 @@ RunMode = Literal["window", "row", "step"]
 
 # what a backend needs to go on, arrays by name; only a backend of the same class reads them
 SavedState = dict[str, NDArray[Any]]
-AnyRecording = TypeVar("AnyRecording", bound="Recording")
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """Currents, membranes and spikes of a layer in a window; integers on integer chips.
-
-    current: (B, T, N) after each timestep [state units]; (B, T, K, N) where neurons have K.
-    membrane: (B, T, N) after each timestep, resets included [state units].
-    spikes: (B, T, N); of sigma-delta neurons signed numbers in int64.
-    """
-
-    current: NDArray[Any]
-    membrane: NDArray[Any]
-    spikes: NDArray[np.integer[Any]]
-
-    def part(self: AnyRecording, window: slice) -> AnyRecording:
-        """Return the recording of some of the timesteps."""
-        parts: dict[str, Any] = {
-            name: None if rows is None else rows[:, window] for name, rows in vars(self).items()
-        }
-        return replace(self, **parts)
 
 
 def concatenate_recordings(
@@ -63,9 +42,10 @@ def concatenate_recordings(
     """Recordings of the same layers as one: axis 0 is the batch, 1 the timesteps."""
     return {
         name: Recording(
-            current=np.concatenate([part[name].current for part in parts], axis),
-            membrane=np.concatenate([part[name].membrane for part in parts], axis),
-            spikes=np.concatenate([part[name].spikes for part in parts], axis),
+            *(
+                np.concatenate([getattr(part[name], quantity) for part in parts], axis)
+                for quantity in ("current", "membrane", "spikes")
+            )
         )
         for name in parts[0]
     }

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.damage import Damage, UpsetDraws
-from spikedeploy.runtime.chips.layer import Layer, LayerState, Numbers, StepResult
+from spikedeploy.runtime.chips.layer import Layer, LayerState, Numbers, Recording, StepResult
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import Recording, SavedState, Schedule, check_counts
+from spikedeploy.runtime.emulator.backend import SavedState, Schedule, check_counts
 from spikedeploy.runtime.emulator.ledger import Counts, LedgerBuilder, count_events
 
 Spikes = NDArray[np.integer[Any]]

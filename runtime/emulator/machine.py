@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.damage import Damage, sum_damage
-from spikedeploy.runtime.chips.layer import Layer
+from spikedeploy.runtime.chips.layer import Layer, Recording
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.emulator.backend import (
     Backend,
     BackendMaker,
     BackendName,
-    Recording,
     RunMode,
     Schedule,
     backend_class,

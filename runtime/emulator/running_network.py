@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.copies import Copyable
-from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName, Recording
+from spikedeploy.runtime.emulator.backend import BackendMaker, BackendName
 from spikedeploy.runtime.emulator.interpreter import count
 from spikedeploy.runtime.emulator.ledger import Ledger, LedgerBuilder, Rows
 from spikedeploy.runtime.emulator.machine import Machine

@@ -173,28 +173,23 @@ class XyloArithmetic(ArithmeticDefaults):
         if not 0 <= (shift := quantisation.weight_shift) <= self.shift_max:
             raise ConfigError(f"weight_shift is {shift}; choose 0 to {self.shift_max} bits.")
 
-    def check_output(self, network: Network, chip_name: str) -> None:
+    def check_output(self, network: Network) -> None:
         """Refuse to read other neurons than outputs, which have hidden ones alone for sources."""
         if self.read == "output" and not network.output_apart:
             raise RuleError(
                 f"rule outputs: layer {network.output!r} is no output population of "
-                f"{chip_name}. The output is read from it, and output neurons are connected "
-                "to hidden neurons only, not to the input, nor to each other, and are presynaptic "
-                "to none. Put a spiking layer behind it, or read hidden neurons, as a simulator "
-                "lets one, with read='any' of the chip."
+                f"{network.chip_name}. The output is read from it, and output neurons are "
+                "connected to hidden neurons only, not to the input, nor to each other, and are "
+                "presynaptic to none. Put a spiking layer behind it, or read hidden neurons, as a "
+                "simulator lets one, with read='any' of the chip."
             )
 
     def prepare(
-        self,
-        layers: Sequence[Layer],
-        network_input: str,
-        convention: Convention,
-        delay: int,
-        stagger: bool,
+        self, layers: Sequence[Layer], source: str, convention: Convention, delay: int, waits: bool
     ) -> tuple[list[Layer], list[str]]:
         """The float layers with dashes for decays, and remarks on what is not as in the file.
 
-        stagger: start each layer when the first spikes can reach it, where that changes nothing but
+        waits: start each layer when the first spikes can reach it, where that changes nothing but
             when to look; elsewhere all start at once, and a remark says so.
         """
         remarks = []
@@ -206,17 +201,17 @@ class XyloArithmetic(ArithmeticDefaults):
             )
         starts = dict.fromkeys((layer.name for layer in layers), 0)
         why = ""
-        if stagger:
+        if waits:
             # the input itself arrives at once
-            delays = {a.name: [int(s.source != network_input) for s in a.synapses] for a in layers}
-            staggered = first_arrivals(layers, network_input, delays)
-            why = _obstacle(layers, network_input, staggered)
+            delays = {a.name: [int(s.source != source) for s in a.synapses] for a in layers}
+            staggered = first_arrivals(layers, source, delays)
+            why = _obstacle(layers, source, staggered)
             if why:
                 late = max(staggered.values())
                 why += f"; all layers start at once, and outputs come {late} rows late"
             else:
                 starts = staggered
-        sources, found = (network_input, *(layer.name for layer in layers)), []
+        sources, found = (source, *(layer.name for layer in layers)), []
         for layer in layers:
             current = self._dashes(layer.name, "current", layer.current_decay, convention)
             # 0 would forget events before they are used
@@ -253,12 +248,7 @@ class XyloArithmetic(ArithmeticDefaults):
         return np.asarray(np.rint(exact), np.int64)
 
     def quantise(
-        self,
-        network: Network,
-        quantisation: Quantisation,
-        chip_name: str,
-        timesteps: int | None,
-        limits: bool,
+        self, network: Network, quantisation: Quantisation, timesteps: int | None, limits: bool
     ) -> Sequence[Layer]:
         """The float layers as Xylo's integers.
 

@@ -13,14 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.exporters.verilog.simulation import Timestep
+from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.backend import (
-    Backend,
-    Recording,
-    SavedState,
-    Schedule,
-    backend_class,
-)
+from spikedeploy.runtime.emulator.backend import Backend, SavedState, Schedule, backend_class
 from spikedeploy.runtime.emulator.ledger import LedgerBuilder
 from spikedeploy.runtime.errors import ConfigError
 

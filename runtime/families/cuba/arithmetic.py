@@ -19,7 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.arithmetic import ArithmeticDefaults, Description
-from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
+from spikedeploy.runtime.chips.layer import (
+    Layer,
+    LayerState,
+    Network,
+    Numbers,
+    Recording,
+    StepResult,
+)
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, decay, magnitude, round_values
 from spikedeploy.runtime.convention import Convention
@@ -77,19 +84,8 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         """Lists that hold the weights of an axon: 2 where each sign has its own."""
         return 2 if self.sign_mode == "split" else 1
 
-    def with_one_list(self) -> "CubaFixedPoint | None":
-        """Return it with weights of both signs in one list; None without that choice."""
-        if self.sign_mode != "split" or self.weight_bits < 2:
-            return None
-        return replace(self, sign_mode="mixed")
-
     def quantise(
-        self,
-        network: Network,
-        quantisation: Quantisation,
-        chip_name: str,
-        timesteps: int | None,
-        limits: bool,
+        self, network: Network, quantisation: Quantisation, timesteps: int | None, limits: bool
     ) -> Sequence[Layer]:
         """Return the float layers as integers."""
         return [quantise(layer, self, quantisation) for layer in network.layers]
@@ -124,25 +120,18 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
             fields[name] = factor if step == "decays" else getattr(before, name)
         return replace(after, **fields)
 
-    def before_reset(
-        self,
-        layer: Layer,
-        convention: Convention,
-        current: Numbers,
-        membrane: Numbers,
-        spikes: Numbers,
-    ) -> Numbers:
+    def before_reset(self, layer: Layer, convention: Convention, ran: Recording) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
         # without a spike, and out of a refractory period, nothing was reset
-        at = _places(spikes) if self.refractory == 1 else np.arange(spikes.size)
+        at = _places(ran.spikes) if self.refractory == 1 else np.arange(ran.spikes.size)
         bias, factor = (
             _of_neurons(each, at, layer.size).astype(np.int64)
             for each in (layer.voltage_bias, layer.membrane_decay)
         )
         # v = b v + (u + bias)      each as its register holds it
-        kept = decay(_one_step_before(membrane, at), factor, self.decay_bits)
-        before: Numbers = membrane.copy()
-        push = self.push.fit(current.reshape(-1)[at] + bias)
+        kept = decay(_one_step_before(ran.membrane, at), factor, self.decay_bits)
+        before: Numbers = ran.membrane.copy()
+        push = self.push.fit(ran.current.reshape(-1)[at] + bias)
         before.reshape(-1)[at] = self.membrane.fit(kept + push)
         return before
 
@@ -289,27 +278,17 @@ class CubaFloat64(ArithmeticDefaults):
         """Accept every choice, since nothing is rounded."""
 
     def prepare(
-        self,
-        layers: Sequence[Layer],
-        network_input: str,
-        convention: Convention,
-        delay: int,
-        stagger: bool,
+        self, layers: Sequence[Layer], source: str, convention: Convention, delay: int, waits: bool
     ) -> tuple[list[Layer], list[str]]:
         """Prepare as on other chips; V >= threshold becomes V > the next lower number, exactly."""
         if convention.spikes != "reached" or convention.reset != "zero":
-            return super().prepare(layers, network_input, convention, delay, stagger)
+            return super().prepare(layers, source, convention, delay, waits)
         below = [replace(each, threshold=np.nextafter(each.threshold, -np.inf)) for each in layers]
         convention = replace(convention, spikes="above")
-        return super().prepare(below, network_input, convention, delay, stagger)
+        return super().prepare(below, source, convention, delay, waits)
 
     def quantise(
-        self,
-        network: Network,
-        quantisation: Quantisation,
-        chip_name: str,
-        timesteps: int | None,
-        limits: bool,
+        self, network: Network, quantisation: Quantisation, timesteps: int | None, limits: bool
     ) -> Sequence[Layer]:
         """The layers as they are."""
         return network.layers
@@ -323,22 +302,15 @@ class CubaFloat64(ArithmeticDefaults):
             return float_sigma_delta(_GRADED_BITS_FLOAT, layer, weights, state)
         return float_update(network.convention, layer, weights, state)
 
-    def before_reset(
-        self,
-        layer: Layer,
-        convention: Convention,
-        current: Numbers,
-        membrane: Numbers,
-        spikes: Numbers,
-    ) -> Numbers:
+    def before_reset(self, layer: Layer, convention: Convention, ran: Recording) -> Numbers:
         """Membranes (B, T, N) before a spike reset them, computed once more [state units]."""
-        at = _places(spikes)
+        at = _places(ran.spikes)
         bias, factor = (
             _of_neurons(each, at, layer.size) for each in (layer.voltage_bias, layer.membrane_decay)
         )
         # V = b V + I + bias
-        before: Numbers = membrane.copy()
-        driven = factor * _one_step_before(membrane, at) + current.reshape(-1)[at]
+        before: Numbers = ran.membrane.copy()
+        driven = factor * _one_step_before(ran.membrane, at) + ran.current.reshape(-1)[at]
         before.reshape(-1)[at] = driven + bias
         return before
 
@@ -371,12 +343,7 @@ class CubaFloat32(ArithmeticDefaults):
         return (1 << (self.weight_bits - 1)) - 1
 
     def quantise(
-        self,
-        network: Network,
-        quantisation: Quantisation,
-        chip_name: str,
-        timesteps: int | None,
-        limits: bool,
+        self, network: Network, quantisation: Quantisation, timesteps: int | None, limits: bool
     ) -> Sequence[Layer]:
         """The float layers with whole weights, and everything else in float32."""
         rounding = quantisation.rounding or "nearest"

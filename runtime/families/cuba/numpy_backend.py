@@ -18,12 +18,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.chips.layer import Layer, LayerState, Synapses
+from spikedeploy.runtime.chips.layer import Layer, LayerState, Recording, Synapses
 from spikedeploy.runtime.chips.registers import magnitude
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.copies import NotCopyable
 from spikedeploy.runtime.emulator.backend import (
-    Recording,
     SavedState,
     Schedule,
     aligned_copy,

@@ -17,7 +17,14 @@ from spikedeploy.runtime.chips.arithmetic import (
     check_thresholds,
     check_weights_left,
 )
-from spikedeploy.runtime.chips.layer import Layer, LayerState, Network, Numbers, StepResult
+from spikedeploy.runtime.chips.layer import (
+    Layer,
+    LayerState,
+    Network,
+    Numbers,
+    Recording,
+    StepResult,
+)
 from spikedeploy.runtime.chips.quantisation import Quantisation
 from spikedeploy.runtime.chips.registers import Rounding, round_values
 from spikedeploy.runtime.convention import Convention
@@ -289,12 +296,7 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         return self.queue == "on"
 
     def prepare(
-        self,
-        layers: Sequence[Layer],
-        network_input: str,
-        convention: Convention,
-        delay: int,
-        stagger: bool,
+        self, layers: Sequence[Layer], source: str, convention: Convention, delay: int, waits: bool
     ) -> tuple[list[Layer], list[str]]:
         """The float layers with starts and delays, and remarks on what is not as in the file."""
         if self.all_at_once and delay:
@@ -303,8 +305,8 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
                 "timestep. Leave the delay at 0, or choose queue 'off'."
             )
         if self.by_events:
-            _check_events(layers, network_input)
-        return super().prepare(layers, network_input, convention, delay, stagger)
+            _check_events(layers, source)
+        return super().prepare(layers, source, convention, delay, waits)
 
     def input_delay(self, delay: int) -> int:
         """Delay of the network's input [timesteps]: a late reset makes neurons' spikes late."""
@@ -339,15 +341,10 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
             )
 
     def quantise(
-        self,
-        network: Network,
-        quantisation: Quantisation,
-        chip_name: str,
-        timesteps: int | None,
-        limits: bool,
+        self, network: Network, quantisation: Quantisation, timesteps: int | None, limits: bool
     ) -> Sequence[Layer]:
         """The float layers as integers that the chip's axons can carry."""
-        rounding = quantisation.rounding
+        rounding, chip_name = quantisation.rounding, network.chip_name
         layers = [quantise(layer, chip_name, self, rounding, limits) for layer in network.layers]
         if limits:
             check_axon_types(layers, chip_name, self)
@@ -369,18 +366,11 @@ class IntegrateAndFire(IntegrateAndFireRules, ArithmeticDefaults):
         together = update_by_events if self.by_events else update_together
         return together(self, network, presynaptic, states)
 
-    def before_reset(
-        self,
-        layer: Layer,
-        convention: Convention,
-        current: Numbers,
-        membrane: Numbers,
-        spikes: Numbers,
-    ) -> Numbers:
+    def before_reset(self, layer: Layer, convention: Convention, ran: Recording) -> Numbers:
         """Membranes (B, T, N) before a spike reset them [state units]; NaN where none can tell."""
         if self.reset_at == "leak":
-            return membrane
-        return super().before_reset(layer, convention, current, membrane, spikes)
+            return ran.membrane
+        return super().before_reset(layer, convention, ran)
 
     def describe(self) -> Description:
         """Neurons, weights and membrane in a few words each."""

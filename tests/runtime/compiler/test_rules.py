@@ -314,11 +314,6 @@ def test_a_network_of_several_chips_passes_with_a_remark_where_chips_can_be_join
     assert not check(one(size=5), limited(**few, alone=True)).passed
 
 
-def test_the_other_way_to_store_signs_is_told():
-    (found,) = check(load(zoo.path("hexapod/popsan")), LOIHI).rulings_on("cores")
-    assert found.note == "10 where both signs share a list (sign_mode 'mixed')"
-
-
 @pytest.mark.parametrize("name", [name for name in CHIPS if chip(name).limits])
 def test_every_limit_has_a_source(name):
     limits = chip(name).limits

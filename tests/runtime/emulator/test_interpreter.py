@@ -91,7 +91,7 @@ def check_before_reset(program, raster):
     arithmetic, convention = program.chip.arithmetic, program.convention
     for name, ran in trace(program, raster).items():
         of = program.layer(name)
-        before = arithmetic.before_reset(of, convention, ran.current, ran.membrane, ran.spikes)
+        before = arithmetic.before_reset(of, convention, ran)
         np.testing.assert_array_equal(before > of.threshold, ran.spikes)
         after = before - of.threshold if convention.reset == "subtract" else 0.0
         np.testing.assert_array_equal(np.where(ran.spikes, after, before), ran.membrane)

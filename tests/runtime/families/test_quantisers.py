@@ -35,7 +35,7 @@ def floats(weight, **more):
 def quantised(layer, name, choice=PLAIN, limits=True, **options):
     """The layer alone in a network on a chip."""
     used, network = chip(name, **options), replace(NETWORK, layers=(layer,))
-    (found,) = used.arithmetic.quantise(network, choice, used.name, None, limits)
+    (found,) = used.arithmetic.quantise(network, choice, None, limits)
     return found
 
 

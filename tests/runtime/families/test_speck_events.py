@@ -294,7 +294,7 @@ def test_what_has_no_place_event_by_event_is_refused():
     loop = replace(layer, synapses=(*layer.synapses, replace(layer.synapses[0], source="n0")))
     for wrong, said in ((biased, "rule bias"), (loop, "rule recurrence")):
         with pytest.raises(RuleError, match=said):
-            arithmetic.prepare([wrong], "input", program.convention, 0, stagger=False)
+            arithmetic.prepare([wrong], "input", program.convention, 0, waits=False)
 
 
 def test_in_timesteps_a_neuron_above_its_threshold_hears_only_events_that_reach_it():
