@@ -20,7 +20,6 @@ COMMANDS = {
     "convolutions": "lab.bench.convolutions",
     "latency": "lab.bench.latency",
     "runtime": "lab.bench.runtime",
-    "sweep": "lab.bench.sweep",
     "updates": "lab.bench.updates",
     "versions": "lab.bench.versions",
     "firmware": "lab.firmware.policies",

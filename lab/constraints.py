@@ -25,7 +25,7 @@ else:
     import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = ("dev", "sweep", "tune", "xylosim")
+EXTRAS = ("dev", "tune", "xylosim")
 HEAD = """\
 # The tested set: the versions with which the whole suite has passed, on {where}.
 # Made by `python -m lab constraints > spikedeploy/constraints.txt` in that environment.

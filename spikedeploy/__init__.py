@@ -15,7 +15,7 @@
     live         an episode in a browser while it is played
     realtime     a closed loop paced by the clock; policies that are served
     shipping     export, publishing into the zoo, the demo
-    jobs         pure functions in this process, in several, or on a cluster of Ray
+    jobs         functions called in this process or in several, which Ctrl-C stops
     campaign     sweeps of evaluations, searches for settings, seeds of a training
     play         windows: drive, replay, draw a track
 

@@ -13,7 +13,6 @@ EXTRAS = {
     "safetensors": "train",
     "onnx": "train",
     "numba": "fast",
-    "ray": "sweep",
     "zmq": "serve",
     "faery": "events",
 }

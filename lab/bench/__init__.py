@@ -6,5 +6,4 @@ runtime      batches of one and of many, against snnTorch, Norse, SpikingJelly a
 nets, peers  the networks that `runtime` runs, and the libraries that run them
 updates      training updates through each chip, against snnTorch's own
 versions     this tree against another one
-sweep        sweeps on several nodes, one of which is killed
 """

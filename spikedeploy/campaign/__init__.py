@@ -1,10 +1,10 @@
-"""Many jobs for one question: sweeps of evaluations, searches for settings, seeds of a training.
+"""Campaigns: many jobs for one question, in a folder where they go on after a stop.
 
 sweep_grid      SPEC.toml as jobs: axes, combinations that mean something, the key of each
-sweep           missing jobs run and kept, one file each
+sweep           missing jobs run and kept, a line each
 sweep_page      the tables of a sweep: cells pooled over seeds, page, CSV
-tune_plan       the question of a search: recipe, objective, settings and what they may be
-tune            the search with Optuna: trials, each trained and evaluated in a process
-tune_results    trials, the best of them, the page with pictures
+search_space    texts of --search as distributions, and the default search of a recipe
+tune            a search with Optuna: trials, each trained and evaluated in a process
+tune_page       its page with pictures
 training_seeds  one recipe with several seeds, side by side
 """

@@ -1,13 +1,13 @@
 """The tables of a sweep: its cells, in a terminal and on a page, and every job as CSV."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from spikedeploy.campaign.sweep_grid import JobSpecification, SweepGrid
+from spikedeploy.campaign.sweep_grid import SweepJob
 from spikedeploy.comparison.episode_metrics import drives
 from spikedeploy.comparison.statistics import FEWEST, bootstrap, paired_difference, share
 from spikedeploy.comparison.summary import has_few_episodes
@@ -23,7 +23,7 @@ from spikedeploy.reports.columns import (
     quoted_table,
 )
 from spikedeploy.reports.page import write_beside
-from spikedeploy.reports.table import ABSENT, Column, Table, field_cell, write_rows
+from spikedeploy.reports.table import ABSENT, Cell, Column, Table, field_cell, write_rows
 
 Record = dict[str, Any]
 PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
@@ -31,11 +31,10 @@ _PER_INFERENCE = ("spikes_per_inference", "sops_per_inference", "macs_dense")
 _ON_PAGES = ("episodes", "energy")  # for which a terminal is too narrow
 
 
-@dataclass(frozen=True)
-class JobRow:
-    """A job and its row, as a report has it."""
+class JobRow(NamedTuple):
+    """A job that is done, and its row, as a report has it."""
 
-    of: JobSpecification
+    job: SweepJob
     row: Mapping[str, Any]
 
 
@@ -43,24 +42,24 @@ class JobRow:
 class Sweep:
     """A sweep and the results so far.
 
-    grid    what was asked for
-    jobs    all of them
-    rows    key -> row of each that is done
-    failed  key -> why it failed
-    ran     number of jobs that were run now
-    interrupted  whether it was stopped from outside
-    files   page and CSV
+    name: of its grid
+    jobs: all of them
+    rows: key -> row of each that is done
+    failed: key -> why it failed
+    ran: number of jobs that were run now
+    interrupted: whether it was stopped from outside
+    files: page and CSV
     """
 
-    grid: SweepGrid
-    jobs: Sequence[JobSpecification]
-    rows: dict[str, Record] = field(default_factory=dict)
+    name: str
+    jobs: Sequence[SweepJob]
+    rows: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     ran: int = 0
     interrupted: bool = False
     files: list[Path] = field(default_factory=list)
 
-    def add(self, job: JobSpecification, row: Record | None, failed: str) -> None:
+    def add(self, job: SweepJob, row: Mapping[str, Any] | None, failed: str) -> None:
         """Add the result of a job: its row, or why it failed."""
         if row is None:
             self.failed[job.key] = failed
@@ -71,11 +70,10 @@ class Sweep:
     @property
     def summary(self) -> str:
         """`200 of 200 jobs are done, 0 failed`."""
-        missing = len(self.jobs) - len(self.rows) - len(self.failed)
+        done, failed = len(self.rows), len(self.failed)
+        missing = len(self.jobs) - done - failed
         left = f", {missing} are missing" if missing else ""
-        return (
-            f"{len(self.rows)} of {len(self.jobs)} jobs are done, {len(self.failed)} failed{left}"
-        )
+        return f"{done} of {len(self.jobs)} jobs are done, {failed} failed{left}"
 
     @property
     def found(self) -> list[JobRow]:
@@ -88,9 +86,9 @@ class Sweep:
         return [(job.label, self.failed[job.key]) for job in self.jobs if job.key in self.failed]
 
     def as_json(self) -> dict[str, Any]:
-        """Plain data: how many jobs are done, why some failed, and the cells."""
+        """Return plain data: how many jobs are done, why some failed, and the cells."""
         return {
-            "name": self.grid.name,
+            "name": self.name,
             "jobs": len(self.jobs),
             "done": len(self.rows),
             "failed": dict(self.failures),
@@ -99,7 +97,7 @@ class Sweep:
 
 
 def print_sweep(sweep: Sweep) -> None:
-    """The table on stdout, the axes in one column."""
+    """Print the table, the axes in one column."""
     rows = cells(sweep.found)
     axes = _axes(rows)
     measured = [c for c in _measured_columns(rows) if c.title not in _ON_PAGES]
@@ -110,7 +108,7 @@ def print_sweep(sweep: Sweep) -> None:
     if rows:
         lines = [[name(row), *(column.cell(row) for column in measured)] for row in rows]
         heads = [" · ".join(axis.title for axis in axes), *(c.title for c in measured)]
-        Table(heads, lines, sweep.grid.name, numbers=True).print()
+        Table(heads, lines, sweep.name, numbers=True).print()
         if remark := _on_few_episodes(rows):
             print_text(remark)
 
@@ -127,7 +125,7 @@ def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
 def _page(sweep: Sweep) -> list[str]:
     rows = cells(sweep.found)
     columns = [*_axes(rows), *_measured_columns(rows)]
-    lines = [f"# Sweep {sweep.grid.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
+    lines = [f"# Sweep {sweep.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
     if rows:
         lines += [Table.from_records(columns, rows).markdown(), ""]
         meanings = [f"{c.title}: {c.meaning}" for c in columns if c.meaning]
@@ -135,13 +133,13 @@ def _page(sweep: Sweep) -> list[str]:
         lines += [*(f"* {remark}" for remark in remarks), ""]
     if sweep.failures:
         lines += ["## Failed", "", *(f"* {label}: {why}" for label, why in sweep.failures), ""]
-    versions = {tuple(job.versions.items()) for job in sweep.jobs}
-    said = sorted({f"{name} {version}" for each in versions for name, version in each if version})
+    versions = {pair for job in sweep.jobs for pair in job.record["versions"].items()}
+    said = sorted(f"{name} {version}" for name, version in versions if version)
     return [*lines, f"Computed with {', '.join(said)}; every job in [{NUMBERS}]({NUMBERS}).", ""]
 
 
 def _on_few_episodes(rows: Sequence[Record]) -> str:
-    """Why some cells have no interval; empty where all have one."""
+    """Return why some cells have no interval; empty where all have one."""
     if not any(map(has_few_episodes, rows)):
         return ""
     return (
@@ -185,7 +183,7 @@ def _measured_columns(rows: Sequence[Record]) -> list[Column]:
     return [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
 
 
-def _plain(name: str) -> Any:  # noqa: ANN401 - a Cell
+def _plain(name: str) -> Cell:
     return lambda row: ABSENT if row[name] in (None, "") else str(row[name])
 
 
@@ -193,19 +191,15 @@ def _difference_cell(row: Mapping[str, Any]) -> str:
     return ABSENT if row["difference_mean"] is None else format_difference(row)
 
 
-def _line(sweep: Sweep, job: JobSpecification, table: str) -> Record:
+def _line(sweep: Sweep, job: SweepJob, table: str) -> Record:
     row = sweep.rows.get(job.key, {})
     prices = row.get("energy_per_inference_j", {})
     return {
         "key": job.key,
         "env": job.env,
-        "policy": job.policy,
+        "policy": job.entry.candidate.name,
         "kind": row.get("kind"),
-        "chip": job.chip,
-        "bits": job.bits,
-        "disturb": " ".join(job.disturb),
-        "fault": " ".join(job.fault),
-        "specimen": job.specimen if job.fault else None,
+        **_setup_fields(job),
         "seed": job.seed,
         "episodes": job.episodes,
         "status": "done" if row else "failed" if job.key in sweep.failed else "missing",
@@ -220,31 +214,38 @@ def _line(sweep: Sweep, job: JobSpecification, table: str) -> Record:
     }
 
 
+def _setup_fields(job: SweepJob) -> Record:
+    setup = job.entry.setup
+    return {
+        "chip": job.entry.chip,
+        "disturb": " ".join(setup.disturb),
+        "fault": " ".join(setup.fault),
+        "specimen": setup.specimen if setup.fault else None,
+    }
+
+
 def cells(found: Iterable[JobRow]) -> list[Record]:
-    """A row for each cell of the grid, over the seeds that are there, in the order of the jobs.
+    """Return a row for each cell of the grid, over the seeds that are there, in the jobs' order.
 
     `difference_mean`, `difference_ci95` are to the cell without disturbance and fault, paired by
     seed, where that has the same seeds.
     """
     groups: dict[str, list[JobRow]] = {}
     for each in found:
-        groups.setdefault(each.of.cell, []).append(each)
+        groups.setdefault(each.job.cell, []).append(each)
     return [_pooled(jobs) | _difference(jobs, groups) for jobs in groups.values()]
 
 
 def _pooled(jobs: Sequence[JobRow]) -> Record:
-    of, first = jobs[0].of, jobs[0].row
+    job, first = jobs[0]
     returns = [value for each in jobs for value in each.row["returns"]]
     successes = [value for each in jobs for value in each.row["successes"]]
     estimate, rate = bootstrap(returns, _rng()), share(successes) if successes else None
     pooled: Record = {
-        "env": of.env,
-        "policy": of.policy,
+        "env": job.env,
+        "policy": job.entry.candidate.name,
         "kind": first["kind"],
-        "chip": of.place,
-        "disturb": " ".join(of.disturb),
-        "fault": " ".join(of.fault),
-        "specimen": of.specimen if of.fault else None,
+        **_setup_fields(job),
         "limits": first["limits"],
         "jobs": len(jobs),
         "episodes": len(returns),
@@ -264,14 +265,14 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
         tables = first[name]
         pooled[name] = {t: _price([row[name][t] for row in rows], steps) for t in tables}
     measured = [row.get("measured", {}) for row in rows]
-    episodes = [each.of.episodes for each in jobs]
+    episodes = [each.job.episodes for each in jobs]
     means = {name: _mean([row.get(name) for row in measured], episodes) for name in measured[0]}
     pooled["measured"] = {name: mean for name, mean in means.items() if mean is not None}
     return pooled
 
 
 def _price(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
-    """A mean, or the means of lower and of upper bounds, of which none bounds."""
+    """Return a mean, or the means of lower and of upper bounds, of which none bounds."""
     if isinstance(values[0], Sequence):
         return [_mean(bounds, weights) for bounds in zip(*values, strict=True)]
     return _mean(values, weights)
@@ -283,10 +284,10 @@ def _mean(values: Sequence[float | None], weights: Sequence[int]) -> float | Non
 
 
 def _difference(jobs: Sequence[JobRow], groups: Mapping[str, Sequence[JobRow]]) -> Record:
-    of = jobs[0].of
-    calm = replace(of, disturb=(), fault=(), specimen=0)
-    beside = groups.get(calm.cell, ())
-    if calm == of or [each.of.seed for each in beside] != [each.of.seed for each in jobs]:
+    job = jobs[0].job
+    beside = groups.get(job.undisturbed.cell, ())
+    seeds = [[each.job.seed for each in many] for many in (jobs, beside)]
+    if job.undisturbed == job or seeds[0] != seeds[1]:
         return {"difference_mean": None, "difference_ci95": None}
     left, right = ([v for each in many for v in each.row["returns"]] for many in (jobs, beside))
     found = paired_difference(left, right, _rng())
@@ -294,5 +295,5 @@ def _difference(jobs: Sequence[JobRow], groups: Mapping[str, Sequence[JobRow]]) 
 
 
 def _rng() -> np.random.Generator:
-    """A generator with a fixed seed: the same episodes give the same interval in any table."""
+    """Return a generator with a fixed seed: equal episodes have one interval in any table."""
     return np.random.default_rng(0)

@@ -2,30 +2,28 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from spikedeploy.comparison.statistics import Estimate, bootstrap
-from spikedeploy.jobs import resumable
-from spikedeploy.jobs.resumable import Job, JobEnd
+from spikedeploy.jobs import Pool, output_to, sigterm_as_interrupt
 from spikedeploy.policies.run_record import describe_progress
-from spikedeploy.runtime.files import read_json, write_text
-
-_PERFORM = "spikedeploy.campaign.training_seeds:perform"
+from spikedeploy.runtime.files import read_json
+from spikedeploy.user_errors import one_line
 
 
 @dataclass(frozen=True)
 class SeedTraining:
     """The end of the training with a seed.
 
-    seed      of the training
-    run       its folder; None where it was refused or killed
-    best      highest validation return; None without a validation
-    stopped   how far it came where it was stopped: `12 %`
-    failed    why it failed; empty where it did not
+    seed: of the training
+    run: its folder; None where it failed
+    best: highest validation return; None without a validation
+    stopped: how far it came where it was stopped: `12 %`
+    failed: why it failed; empty where it did not
     """
 
     seed: int
@@ -47,26 +45,25 @@ class SeedTraining:
 class SeedTrainings:
     """The ends of all of them.
 
-    each         in the order of the seeds; those that were not begun are missing
-    interrupted  whether they were stopped from outside
+    each: in the order of the seeds; those that were not begun are missing
+    interrupted: whether they were stopped from outside
     """
 
     each: Sequence[SeedTraining]
     interrupted: bool
 
     @property
-    def estimate(self) -> Estimate | None:
-        """Mean of the best validation returns of whole trainings, with its bootstrap interval."""
-        best = self.whole
-        return bootstrap(best, np.random.default_rng(0)) if best else None
-
-    @property
     def whole(self) -> list[float]:
         """The best validation returns of whole trainings."""
         return [e.best for e in self.each if e.best is not None and not e.stopped]
 
+    @property
+    def estimate(self) -> Estimate | None:
+        """Mean of the best validation returns of whole trainings, with its bootstrap interval."""
+        return bootstrap(self.whole, np.random.default_rng(0)) if self.whole else None
+
     def as_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return plain data."""
         mean = self.estimate.as_json() if self.estimate else None
         return {"seeds": [asdict(each) for each in self.each], "best": mean}
 
@@ -80,51 +77,40 @@ def train_seeds(
 ) -> SeedTrainings:
     """Train with each of the seeds, `count` at a time; Ctrl-C stops them at checkpoints.
 
-    logs       folder of a log for each
-    arguments  of trainers.train.train, JSON types
-    ended      is called with each that ends
+    logs: folder of a log for each
+    arguments: of trainers.train.train
+    ended: is called with each that ends
     """
     found: dict[int, SeedTraining] = {}
-    with TemporaryDirectory(prefix="spikedeploy-") as folder:
-        jobs = {f"seed-{seed}": seed for seed in seeds}
-
-        def note(end: JobEnd) -> None:
-            seed = jobs[end.job.name]
-            found[seed] = _ending(seed, end, Path(folder) / str(seed))
-            ended(found[seed])
-
-        whole = resumable.run(
-            [_job(seed, Path(folder), logs, arguments) for seed in seeds], count, note
-        )
-    return SeedTrainings([found[seed] for seed in seeds if seed in found], not whole)
-
-
-def _job(seed: int, folder: Path, logs: Path, arguments: Mapping[str, Any]) -> Job:
-    name = f"seed-{seed}"
-    given = {"place": str(folder / str(seed)), "seed": seed, **arguments}
-    return Job(name, _PERFORM, logs / f"{arguments['recipe']}-s{seed}.log", given)
+    job, interrupted = partial(train_seed, logs, arguments), False
+    try:
+        with sigterm_as_interrupt(), Pool(count, attempts=1) as pool:
+            for result in pool.run(job, seeds):
+                seed = seeds[result.index]
+                found[seed] = result.value or _failed(
+                    seed, result.error, _log(logs, arguments, seed)
+                )
+                ended(found[seed])
+    except KeyboardInterrupt:
+        interrupted = True
+    return SeedTrainings([found[seed] for seed in seeds if seed in found], interrupted)
 
 
-def perform(place: str, **arguments: Any) -> bool:  # noqa: ANN401
-    """Train (a job of `resumable`), and write into the file `place` where; False if interrupted."""
-    from spikedeploy.trainers.progress import Interrupt
+def train_seed(logs: Path, arguments: Mapping[str, Any], seed: int) -> SeedTraining:
+    """Train with a seed, and write what is said into a log."""
     from spikedeploy.trainers.train import train
 
-    interrupt = Interrupt()
-    run = train(quiet=True, interrupt=interrupt, **arguments)
-    write_text(Path(place), str(run))
-    return interrupt.share is None
-
-
-def _ending(seed: int, end: JobEnd, place: Path) -> SeedTraining:
-    if end.failed:
-        return SeedTraining(seed, failed=f"{end.last_line.removeprefix('error: ')} ({end.job.log})")
-    if not place.is_file():
-        return SeedTraining(seed, failed="stopped before its first checkpoint")
-    run = Path(place.read_text(encoding="utf-8"))
-    return SeedTraining(seed, str(run), _best(run), describe_progress(run))
-
-
-def _best(run: Path) -> float | None:
+    with output_to(_log(logs, arguments, seed)):
+        run = train(seed=seed, quiet=True, **arguments)
     file = run / "checkpoints/best.json"
-    return read_json(file).get("eval_return") if file.is_file() else None
+    best = read_json(file).get("eval_return") if file.is_file() else None
+    return SeedTraining(seed, str(run), best, describe_progress(run))
+
+
+def _failed(seed: int, error: Exception | None, log: Path) -> SeedTraining:
+    why = "" if error is None else one_line(error) or f"{type(error).__name__}: {error}"
+    return SeedTraining(seed, failed=f"{why} ({log})")
+
+
+def _log(logs: Path, arguments: Mapping[str, Any], seed: int) -> Path:
+    return logs / f"{arguments['recipe']}-s{seed}.log"

@@ -1,70 +1,141 @@
-"""`tune`: a search for the settings of a recipe with Optuna, many trainings (docs/tuning.md).
+"""`tune`: a search for the settings of a recipe with Optuna, many trainings (docs/sweeps.md).
 
-`tune` starts the trials that are missing, some at a time; each is a process that calls
-`run_trial`: settings are drawn, a policy is trained, exported and evaluated on seeds that are for
-choosing. They are neither those of its own validation, on which its best checkpoint was chosen, nor
-those of `compare`, by which tuned settings are to be judged.
+Each trial is a job: a policy is trained with settings that the study draws, exported, and evaluated
+on seeds that are for choosing. They are neither those of its own validation, on which its best
+checkpoint was chosen, nor those of `compare`, by which tuned settings are to be judged.
+
+<folder>/
+    journal.log    the study
+    trial-<n>/     the run of each trial, and its log
+    tune.md, tune.html, history.png, front.png
 """
 
-import platform
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import shlex
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from spikedeploy.campaign.tune_plan import FIRST_SEED, TuningPlan
-from spikedeploy.campaign.tune_results import (
-    REASON,
-    RETURN,
-    RUN,
-    SOPS,
-    TrialOutcome,
-    best,
-    failure_of,
-    outcomes,
-    write_page,
-)
+from spikedeploy.campaign.search_space import search_space
 from spikedeploy.comparison.episodes import EpisodeJob, play
 from spikedeploy.comparison.lineup import make_entries
-from spikedeploy.jobs.resumable import Job, JobEnd, run
+from spikedeploy.jobs import JobResult, Pool, output_to, sigterm_as_interrupt
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import locked
 from spikedeploy.setup import Setup
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers import metrics_file
+from spikedeploy.trainers.config import RunConfig, require_known, resolve, spiking_layers
 from spikedeploy.trainers.progress import Interrupt
-from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.train import train
+from spikedeploy.trainers.recipes import RECIPES
+from spikedeploy.trainers.run_folder import RunFolder, runs_in
+from spikedeploy.trainers.train import algorithm, train
 from spikedeploy.user_errors import one_line
 
 if TYPE_CHECKING:
     import optuna
+    from optuna.distributions import BaseDistribution
+    from optuna.trial import FrozenTrial
 
-_JOB, _PLACE = "job", "place"  # attributes of a trial: its job; its machine and folder
-_PLAN, _QUEUED = "plan", "again"  # of a study: numbers of interrupted trials that are queued again
+Objective = Literal["return", "return-at-sops", "return,sops"]
+FIRST_SEED = 9_000  # of evaluations: validation of trainings begins below, `compare` above
+_MOST_EPISODES = 1_000  # seeds from there up to those of evaluation
 _STARTS = 10  # trials at random before the search begins
 _UNPRUNED = 5  # trials that run to their end before others are compared with them
 _HOPELESS = 3  # failed trials without another, after which the rest will fail too
-_MOST_EPISODES = 1_000  # seeds from FIRST_SEED up to those of evaluation
+_PLAN, _RETURN, _SOPS, _REASON = "plan", "return", "sops", "reason"  # of a study; of its trials
 
 
 @dataclass(frozen=True)
-class TuningOutcome:
-    """The result of a search.
+class TuningPlan:
+    """The question of a study.
 
-    trials       of the study so far
-    best         the best one, or the Pareto front
-    interrupted  whether it was stopped from outside
-    files        page and pictures
+    recipe: of trainers.recipes
+    env: of a recipe for any environment; "" else
+    objective: what is best: the return; the return among those within a budget; return and SOPs
+    sops: budget [SOPs a control step]; 0 without
+    search: texts of --search; none takes the default of the recipe
+    fixed: texts of --set
+    seed: of all trainings
+    episodes: of each evaluation
+    chip: on which a spiking policy is evaluated; "float" for its float twin; "" for that which it
+        is trained for, else the default
     """
 
-    trials: list[TrialOutcome]
-    best: list[TrialOutcome]
-    interrupted: bool
-    files: list[Path]
+    recipe: str
+    env: str = ""
+    objective: Objective = "return"
+    sops: float = 0.0
+    search: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    seed: int = 0
+    episodes: int = 20
+    chip: str = ""
+
+    def __post_init__(self) -> None:
+        entry = RECIPES[require_known(self.recipe, RECIPES, "recipe")]
+        if entry.any_env != bool(self.env):
+            raise ConfigError(
+                f"{self.recipe} trains in any environment: name one with --env, as CartPole-v1"
+                if entry.any_env
+                else f"{self.recipe} has an environment of its own: leave --env out"
+            )
+        if (self.objective == "return-at-sops") != (self.sops > 0):
+            raise ConfigError(
+                "--objective return-at-sops takes --sops N, the most SOPs of a control step; the "
+                "other objectives take none"
+            )
+        policy = self.config.policy  # one of events has SOPs without hidden neurons too
+        spikes = spiking_layers(policy) or policy.kind.startswith("delta-")
+        if self.objective != "return" and not spikes:
+            raise ConfigError(
+                f"{self.recipe} trains a float policy, which has no SOPs: --objective return"
+            )
+        if self.episodes > _MOST_EPISODES:
+            raise ConfigError(f"--episodes {self.episodes}: there are seeds for {_MOST_EPISODES}")
+
+    @property
+    def has_two(self) -> bool:
+        """True where there are two objectives."""
+        return self.objective == "return,sops"
+
+    @cached_property
+    def config(self) -> RunConfig:
+        """The recipe with the fixed settings."""
+        kind = algorithm(RECIPES[self.recipe].algorithm)
+        config: RunConfig = resolve(kind.Config, self.recipe, overrides=self.fixed, seed=self.seed)
+        return config
+
+    @cached_property
+    def space(self) -> "dict[str, BaseDistribution]":
+        """Setting -> the distribution from which it is drawn."""
+        return {**search_space(self.config, self.search, self.fixed)}
+
+    def overrides(self, values: Mapping[str, Any]) -> list[str]:
+        """Return the settings of a trial as `--set` takes them, those that are fixed first."""
+        return [*self.fixed, *(f"{key}={value}" for key, value in values.items())]
+
+    def command(self, values: Mapping[str, Any]) -> str:
+        """Return the command line that trains with these settings."""
+        what = [self.env, "--recipe", self.recipe] if self.env else [self.recipe]
+        words = ["spikedeploy", "train", *what]
+        for text in self.overrides(values):
+            words += ["--set", text]
+        if self.seed:
+            words += ["--seed", str(self.seed)]
+        return shlex.join(words)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields as plain data."""
+        return {**asdict(self), "search": list(self.search), "fixed": list(self.fixed)}
+
+
+# the study
 
 
 def tune(
@@ -72,130 +143,127 @@ def tune(
     folder: Path,
     trials: int,
     jobs: int = 1,
-    storage: str | None = None,
     say: Callable[[str], object] = lambda line: None,
-) -> TuningOutcome:
-    """Run trials until the study has so many, and write its page.
+) -> "tuple[optuna.Study, bool]":
+    """Run trials until the study has so many; return it, and whether it came to its end.
 
-    folder   of the trials' runs, the page and, without a storage, the study
-    storage  URL of a database, for several machines
-    say      is called with a line on each trial that ended
+    folder: of the study and the trials' runs
+    jobs: trials at a time, each in a process
+    say: is called with a line on each trial that ended
     """
-    where = storage or journal(folder)
     _import_optuna()
     _ = plan.space  # what cannot be searched is refused before anything is made
-    busy = (
-        f"another `spikedeploy tune` is at work in {folder}: wait for it, or name another "
-        "--folder; --jobs takes more processes"
-    )
+    busy = f"another `spikedeploy tune` is at work in {folder}: wait for it, or name another"
     with locked(folder / ".lock", busy):
-        study = open_study(plan, where)
-        _requeue(study, folder)
-        missing = trials - sum(_counts(study, trial) for trial in study.trials)
-        first = len(study.trials)
-        todo = [_job(plan, where, folder, first + k, trials) for k in range(missing)]
-        finished = run(todo, jobs, _Progress(plan, study, folder, say))
-        _requeue(study, folder)
-        files = write_page(plan, study, folder)
-    found = outcomes(plan, study)
-    return TuningOutcome(found, best(plan, found), not finished, files)
+        study = open_study(plan, folder)
+        begun: list[TrialJob] = []
+
+        def todo() -> "Iterator[TrialJob]":
+            """Yield interrupted trials, then new ones: each is drawn when there is a place."""
+            for trial in study.trials:
+                if trial.state.name == "RUNNING":  # nobody else works in this folder
+                    begun.append(TrialJob(plan, folder, trial.number))
+                    yield begun[-1]
+            while (number := len(study.trials)) < trials:
+                if (runs := folder / f"trial-{number}").exists():
+                    raise ConfigError(f"{runs} is of another search: name another --folder")
+                begun.append(TrialJob(plan, folder, study.ask(plan.space).number))
+                yield begun[-1]
+
+        try:
+            with sigterm_as_interrupt(), Pool(jobs, attempts=1) as pool:
+                for result in pool.run(run_trial, todo()):
+                    say(_tell(study, begun[result.index], result))
+                    _check_hopeless(study)
+        except KeyboardInterrupt:
+            return study, False
+    return study, True
 
 
-def _job(plan: TuningPlan, storage: str, folder: Path, number: int, trials: int) -> Job:
-    name = f"job-{number}"
-    arguments = {
-        "plan": plan.as_json(),
-        "storage": storage,
-        "folder": str(folder),
-        "name": name,
-        "trials": trials,
-    }
-    return Job(name, f"{__name__}:run_trial", folder / "logs" / f"{name}.log", arguments)
-
-
-class _Progress:
-    def __init__(
-        self, plan: TuningPlan, study: "optuna.Study", folder: Path, say: Callable[[str], object]
-    ) -> None:
-        self._plan, self._study, self._folder, self._say = plan, study, folder, say
-        self._failed = 0
-
-    def __call__(self, end: JobEnd) -> None:
-        """Write down how a job ended, and the page; give up where all trials fail."""
-        from optuna.trial import TrialState
-
-        mine = [t for t in self._study.trials if t.user_attrs.get(_JOB) == end.job.name]
-        for trial in mine:
-            if end.failed and trial.state.name == "RUNNING":  # its process was killed
-                why = f"its process ended with status {end.status}: {end.last_line}"
-                self._study.set_user_attr(f"{REASON} {trial.number}", why)
-                self._study.tell(trial.number, state=TrialState.FAIL)
-        found = outcomes(self._plan, self._study)
-        numbers = [trial.number for trial in mine]
-        told = next((each for each in reversed(found) if each.number in numbers), None)
-        self._say(end.line if told is None else f"{told.line}, {end.seconds / 60:.1f} min")
-        write_page(self._plan, self._study, self._folder)
-        self._failed = self._failed + 1 if end.failed else -_HOPELESS
-        if self._failed == _HOPELESS and not any(each.earned is not None for each in found):
-            raise ConfigError(f"the first {_HOPELESS} trials failed: {end.last_line}")
-
-
-def _requeue(study: "optuna.Study", folder: Path) -> None:
-    """Queue the trials of this place again that were interrupted or lost, with their runs."""
+def _tell(study: "optuna.Study", job: "TrialJob", result: JobResult) -> str:
+    """Write into the study how a trial ended; return a line that says it."""
     from optuna.trial import TrialState
 
-    mine = [t for t in study.trials if t.user_attrs.get(_PLACE) == _place(folder)]
-    for trial in mine:
-        if trial.state.name == "RUNNING":  # nobody else works in this folder
-            study.tell(trial.number, state=TrialState.FAIL)
-    queued = list(study.user_attrs.get(_QUEUED, []))
-    for trial in mine:
-        stopped = trial.state.name in ("RUNNING", "FAIL") and not failure_of(study, trial)
-        if stopped and trial.number not in queued:
-            kept = {RUN: trial.user_attrs[RUN]} if RUN in trial.user_attrs else {}
-            study.enqueue_trial(trial.params, user_attrs=kept)
-            queued.append(trial.number)
-    study.set_user_attr(_QUEUED, queued)
+    trial, plan, end = job.trial(study), job.plan, result.value
+    if result.error is not None:
+        why = one_line(result.error) or f"{type(result.error).__name__}: {result.error}"
+        trial.set_user_attr(_REASON, why)
+        study.tell(job.number, state=TrialState.FAIL)
+    elif end == TrialState.PRUNED:
+        study.tell(job.number, state=TrialState.PRUNED)
+    elif end is not None:  # else it was interrupted, and goes on the next time
+        earned, sops = end
+        trial.set_user_attr(_RETURN, earned)
+        trial.set_user_attr(_SOPS, sops)
+        if plan.sops:  # how far above the budget, as a share of it; feasible at 0 and below
+            trial.set_constraint(_SOPS, sops / plan.sops - 1)
+        study.tell(job.number, [earned, sops] if plan.has_two else earned)
+    done = describe(study.trials[job.number])
+    facts = {"return": done["return"], "SOPs": done["sops"], "reason": done["reason"] or None}
+    told = [f"{name} {value}" for name, value in facts.items() if value is not None]
+    return ", ".join([f"trial {job.number} {done['state']}", *told])
 
 
-def _counts(study: "optuna.Study", trial: "optuna.trial.FrozenTrial") -> bool:
-    """True where it is one of the trials asked for: it runs or has ended by itself."""
-    done = trial.state.name in ("RUNNING", "COMPLETE", "PRUNED")
-    return done or bool(failure_of(study, trial))
+def _check_hopeless(study: "optuna.Study") -> None:
+    states = [trial.state.name for trial in study.trials]
+    if states.count("FAIL") == _HOPELESS and not {"COMPLETE", "PRUNED"} & {*states}:
+        raise ConfigError(
+            f"the first {_HOPELESS} trials failed: {describe(study.trials[0])['reason']}"
+        )
 
 
-def _place(folder: Path) -> str:
-    return f"{platform.node()}:{folder.resolve()}"
+def describe(trial: "FrozenTrial") -> dict[str, Any]:
+    """Return a trial as plain data."""
+    state = trial.state.name.lower().replace("fail", "failed").replace("running", "interrupted")
+    return {
+        "number": trial.number,
+        "state": state,
+        "settings": dict(trial.params),
+        "return": trial.user_attrs.get(_RETURN),
+        "sops": trial.user_attrs.get(_SOPS),
+        "seconds": trial.duration.total_seconds() if trial.duration else None,
+        "reason": trial.user_attrs.get(_REASON, ""),
+    }
 
 
-# The study: Optuna's record, in a journal file that processes share or a database of a cluster.
+def best(plan: TuningPlan, study: "optuna.Study") -> "Sequence[FrozenTrial]":
+    """Return the best trial; with two objectives the Pareto front, the cheapest first; or none."""
+    if plan.has_two:
+        return sorted(study.best_trials, key=lambda trial: (trial.values[1], trial.number))
+    try:
+        return [study.best_trial]
+    except ValueError:  # none is complete, or within the budget
+        return []
 
 
-def journal(folder: Path) -> str:
-    """The storage of a folder, as --storage takes it."""
-    return str(folder / "journal.log")
-
-
-def open_study(plan: TuningPlan, storage: str, number: int = 0) -> "optuna.Study":
-    """The study of the plan, made where there is none.
+def open_study(plan: TuningPlan, folder: Path) -> "optuna.Study":
+    """Return the study of the plan, made where there is none.
 
     TPE (Bergstra et al. 2011) samples, which also serves two objectives, and budgets as
     constraints.
-
-    storage  path of a journal file, or URL of a database
-    number   of the process, so that no two draw the same first settings
     """
     library = _import_optuna()
-    seed = 100_003 * plan.seed + number
-    study: optuna.Study = library.create_study(
-        storage=_storage(storage),
-        study_name=plan.name,
-        load_if_exists=True,
-        sampler=library.samplers.TPESampler(
-            seed=seed, n_startup_trials=_STARTS, constant_liar=True
-        ),
-        pruner=library.pruners.MedianPruner(n_startup_trials=_UNPRUNED),
-        directions=["maximize", "minimize"] if plan.has_two else ["maximize"],
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    file = folder / "journal.log"
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        study: optuna.Study = library.create_study(
+            storage=JournalStorage(JournalFileBackend(str(file))),
+            study_name="tune",
+            load_if_exists=True,
+            pruner=library.pruners.MedianPruner(n_startup_trials=_UNPRUNED),
+            directions=["maximize", "minimize"] if plan.has_two else ["maximize"],
+        )
+    except ValueError as error:  # a line that is no JSON, or other directions
+        raise ConfigError(
+            f"{file} is damaged, or of another search ({error}): name another --folder"
+        ) from error
+    # a search that goes on draws other numbers than it began with
+    seed = 100_003 * plan.seed + len(study.trials)
+    study.sampler = library.samplers.TPESampler(
+        seed=seed, n_startup_trials=_STARTS, constant_liar=True
     )
     wanted, found = plan.as_json(), study.user_attrs.get(_PLAN)
     if found is None:
@@ -204,7 +272,7 @@ def open_study(plan: TuningPlan, storage: str, number: int = 0) -> "optuna.Study
         differ = [key for key in wanted if found.get(key) != wanted[key]]
         words = "; ".join(f"{key} was {found.get(key)!r}, is {wanted[key]!r}" for key in differ)
         raise ConfigError(
-            f"{storage} holds a study with another plan ({words}). Ask the same to go on, or name "
+            f"{file} holds a study with another plan ({words}). Ask the same to go on, or name "
             "another --folder."
         )
     return study
@@ -219,140 +287,74 @@ def _import_optuna() -> Any:  # noqa: ANN401 - the module
     return optuna
 
 
-def _storage(storage: str) -> Any:  # noqa: ANN401 - a class of Optuna's
-    from optuna.exceptions import StorageInternalError
-    from optuna.storages import JournalStorage, RDBStorage
-    from optuna.storages.journal import JournalFileBackend
-
-    if "://" not in storage:
-        Path(storage).parent.mkdir(parents=True, exist_ok=True)
-        try:
-            return JournalStorage(JournalFileBackend(storage))
-        except ValueError as error:  # a line that is no JSON
-            raise ConfigError(
-                f"{storage} is damaged, or no journal of a search ({error}): cut off the line that "
-                "is torn, or name another --folder"
-            ) from error
-    from sqlalchemy.exc import SQLAlchemyError
-
-    try:
-        return RDBStorage(storage)
-    except (SQLAlchemyError, StorageInternalError, ImportError, ValueError) as error:
-        why = str(error).splitlines()[0]
-        raise ConfigError(
-            f"--storage {storage}: no database can be opened there ({why}). Give an SQLAlchemy "
-            "URL, as postgresql://user@host/name, and install its driver; or leave --storage out."
-        ) from error
+# a trial, in a process of its own
 
 
-# A trial, in a process of its own.
+@dataclass(frozen=True)
+class TrialJob:
+    """A trial of a study, to be run or to go on."""
+
+    plan: TuningPlan
+    folder: Path
+    number: int
+
+    def trial(self, study: "optuna.Study") -> "optuna.Trial":
+        """Return the trial, which any process may report to."""
+        from optuna.trial import Trial
+
+        return Trial(study, study.trials[self.number]._trial_id)
 
 
-def run_trial(plan: dict[str, Any], storage: str, folder: str, name: str, trials: int) -> bool:
-    """Run one more trial (a job of `spikedeploy.jobs.resumable`); False if it was interrupted.
+class _Pruner(Interrupt):
+    """A request to stop, of a signal, or of a study that gives a trial up.
 
-    name    of the job
-    trials  of the study in all; where as many ended or run, nothing is done
-    """
-    from optuna.trial import TrialState
-
-    asked = TuningPlan(**plan)
-    study = open_study(asked, storage, number=int(name.rpartition("-")[2]))
-    if sum(_counts(study, trial) for trial in study.trials) >= trials:
-        return True
-    trial = study.ask(dict(asked.space))
-    trial.set_user_attr(_JOB, name)
-    trial.set_user_attr(_PLACE, _place(Path(folder)))
-    before = trial.user_attrs.get(RUN)
-    runs = Path(before) if before else Path(folder) / f"trial-{trial.number}"
-    trial.set_user_attr(RUN, str(runs))
-    stop = Validations(trial, runs, prunes=not asked.has_two)
-    values, state = None, TrialState.FAIL  # without a reason: it will be queued again
-    try:
-        if before is None and runs.exists() and any(runs.iterdir()):
-            raise ConfigError(
-                f"{runs} exists, and this search does not know it: it is of another one. Name "
-                "another --folder, or move it away."
-            )
-        run = _train(asked, trial.params, runs, stop)
-        if stop.pruned:
-            state = TrialState.PRUNED
-        elif stop.share is None:
-            values, state = _values(asked, trial, *evaluate(run, asked)), TrialState.COMPLETE
-    except KeyboardInterrupt:
-        pass
-    except Exception as error:  # the study goes on
-        trial.set_user_attr(REASON, one_line(error) or f"{type(error).__name__}: {error}")
-        raise
-    finally:
-        study.tell(trial, values, state)
-    return state != TrialState.FAIL
-
-
-def _train(plan: TuningPlan, values: Mapping[str, Any], runs: Path, stop: Interrupt) -> Path:
-    return train(
-        plan.recipe,
-        env=plan.env or None,
-        overrides=plan.overrides(values),
-        seed=plan.seed,
-        resume=next((file.parent for file in runs.glob("*/config.json")), None),
-        runs=runs,
-        quiet=True,
-        interrupt=stop,
-    )
-
-
-def _values(
-    plan: TuningPlan, trial: "optuna.Trial", earned: float, sops: float | None
-) -> list[float]:
-    trial.set_user_attr(RETURN, earned)
-    trial.set_user_attr(SOPS, sops)
-    if not plan.counts_sops:
-        return [earned]
-    if sops is None:
-        raise ConfigError("the policy has no SOPs on this chip")
-    if plan.sops:
-        # how far above the budget, as a share of it; feasible at 0 and below
-        trial.set_constraint(SOPS, sops / plan.sops - 1)
-    return [earned, sops] if plan.has_two else [earned]
-
-
-class Validations(Interrupt):
-    """The request to stop of a training: of Ctrl-C, or of the pruner, who gets its validations.
-
-    pruned: whether it was the pruner's.
+    pruned: whether it was given up
     """
 
-    def __init__(self, trial: "optuna.Trial", folder: Path, prunes: bool) -> None:
+    def __init__(self, trial: "optuna.Trial", prunes: bool) -> None:
         super().__init__()
-        self._trial, self._folder, self._prunes = trial, folder, prunes
-        self._size, self._reported = -1, -1.0
-        self.pruned = False
+        self._trial, self._prunes, self.pruned = trial, prunes, False
 
     def __call__(self) -> bool:
-        """True where the training is to stop; called after each iteration."""
-        if self._prunes and not self.pruned:
-            self.pruned = self._is_hopeless()
+        """Return whether the training is to stop."""
         return self.pruned or super().__call__()
 
-    def _is_hopeless(self) -> bool:
-        """Report what is new in the run's metrics; return whether the trial is given up."""
-        file = next(iter(self._folder.glob("*/metrics.csv")), None)
-        if file is None or (size := file.stat().st_size) == self._size:
-            return False
-        self._size = size
-        for row in metrics_file.read(file):
-            step = next(iter(row.values()))
-            if "eval_return" in row and step > self._reported:
-                self._reported = step
-                self._trial.report(row["eval_return"], int(step))
-        return self._reported >= 0 and self._trial.should_prune()
+    def report(self, run: Path) -> None:
+        """Report the latest validation of a run to the study."""
+        rows = [row for row in metrics_file.read(run / "metrics.csv") if "eval_return" in row]
+        if rows and self._prunes:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of a step that it was told before
+                self._trial.report(rows[-1]["eval_return"], int(next(iter(rows[-1].values()))))
+            self.pruned = self.pruned or self._trial.should_prune()
+
+
+def run_trial(job: TrialJob) -> Any:  # noqa: ANN401 - (return, SOPs), TrialState.PRUNED, or None
+    """Train and evaluate the settings of a trial; PRUNED if given up, None if interrupted."""
+    from optuna.trial import TrialState
+
+    plan, runs = job.plan, job.folder / f"trial-{job.number}"
+    trial = job.trial(open_study(plan, job.folder))
+    stop = _Pruner(trial, prunes=not plan.has_two)
+    with output_to(runs / "log.txt"):
+        run = train(
+            plan.recipe,
+            env=plan.env or None,
+            overrides=plan.overrides(trial.params),
+            seed=plan.seed,
+            resume=next(iter(runs_in(runs)), None),
+            runs=runs,
+            quiet=True,
+            interrupt=stop,
+            watch=stop.report,
+        )
+        if stop.pruned:
+            return TrialState.PRUNED
+        return evaluate(run, plan) if stop.share is None else None
 
 
 def evaluate(run: Path, plan: TuningPlan) -> tuple[float, float | None]:
-    """Mean return of the exported policy, and its SOPs a control step; None of a float one."""
-    if plan.episodes > _MOST_EPISODES:
-        raise ConfigError(f"--episodes {plan.episodes}: there are seeds for {_MOST_EPISODES}")
+    """Return the mean return of the exported policy, and its SOPs; None of a float one."""
     env = RunFolder(run).settings()["env"]
     policy = find(runnable(str(run)))
     setup = Setup.with_options(env["options"])
@@ -360,4 +362,6 @@ def evaluate(run: Path, plan: TuningPlan) -> tuple[float, float | None]:
     played = [play(EpisodeJob(env["name"], entry, FIRST_SEED + k)) for k in range(plan.episodes)]
     sops: list[Any] = [episode.costs.sops for episode in played]
     known = None if None in sops else float(np.mean(sops))
+    if known is None and plan.objective != "return":
+        raise ConfigError("the policy has no SOPs on this chip")
     return float(np.mean([episode.total for episode in played])), known

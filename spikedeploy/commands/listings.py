@@ -252,7 +252,7 @@ def _tested() -> DoctorFinding:
 
 
 def _threads() -> DoctorFinding:
-    from spikedeploy.jobs.pool import cores
+    from spikedeploy.jobs import cores
 
     limits = {name: os.environ.get(name, "all") for name in THREADS}
     limit = ", ".join(f"{name}={value}" for name, value in limits.items())

@@ -1,5 +1,6 @@
 """`train`, `distill`, `tune`, `sweep`, `runs` and `visualize`: from a recipe to run folders."""
 
+import re
 import shlex
 from collections.abc import Sequence
 from contextlib import suppress
@@ -218,7 +219,7 @@ def _run_seeds(
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
     from spikedeploy.campaign.training_seeds import train_seeds
     from spikedeploy.comparison.statistics import FEWEST
-    from spikedeploy.jobs.pool import cores
+    from spikedeploy.jobs import cores
     from spikedeploy.reports.table import Table
     from spikedeploy.seeds import training_seeds
     from spikedeploy.trainers.config import require_known
@@ -357,7 +358,6 @@ def tune(
     episodes: Count = 20,
     chip: ChipName | None = None,
     seed: TrainingSeed = 0,
-    storage: Annotated[str, typer.Option(metavar="URL")] | None = None,
     folder: Path | None = None,
     json: Json = False,
 ) -> None:
@@ -376,13 +376,11 @@ def tune(
     chip: chip of a spiking policy; 'float' for its float twin (default: that which it is trained
         for, or loihi1)
     seed: seed of the trainings
-    storage: database of the search, for several machines, such as postgresql://… (default: a
-        journal file in the folder)
     folder: folder of the search, which goes on there (default: runs/tune/RECIPE)
     """
+    from spikedeploy.campaign.tune import TuningPlan, best, describe
     from spikedeploy.campaign.tune import tune as find
-    from spikedeploy.campaign.tune_plan import TuningPlan
-    from spikedeploy.campaign.tune_results import PAGE, SHOWN, is_study
+    from spikedeploy.campaign.tune_page import PAGE, SHOWN, is_study, write_page
     from spikedeploy.outputs import check_output_folder
 
     plan = TuningPlan(
@@ -390,28 +388,26 @@ def tune(
         search=tuple(search or ()), fixed=tuple(set_ or ()), seed=seed, episodes=episodes,
         chip=chip or "",
     )  # fmt: skip
-    where = folder or Path("runs/tune") / "-".join(filter(None, (recipe, plan.title)))
+    of_env = re.sub(r"[^A-Za-z0-9.-]+", "-", plan.env)  # in letters that a path may have
+    where = folder or Path("runs/tune") / "-".join(filter(None, (recipe, of_env)))
     # a study goes on; other people's files of these names stay
     check_output_folder("--folder", where, (PAGE, SHOWN, "journal.log"), (), False, is_study)
-    found = find(plan, where, trials, jobs, storage, (lambda line: None) if json else say)
-    commands = [plan.command(trial.settings) for trial in found.best]
-    best = [{**vars(t), "command": c} for t, c in zip(found.best, commands, strict=True)]
-    record: dict[str, Any] = {"trials": [vars(t) for t in found.trials], "best": best}
-    record["files"] = [str(path) for path in found.files]
+    study, finished = find(plan, where, trials, jobs, (lambda line: None) if json else say)
+    files, chosen = write_page(plan, study, where), best(plan, study)
+    commands = [plan.command(trial.params) for trial in chosen]
+    record = {
+        "trials": [describe(trial) for trial in study.trials],
+        "best": [{**describe(t), "command": c} for t, c in zip(chosen, commands, strict=True)],
+        "files": [str(path) for path in files],
+    }
     print_result(json, record, *commands, f"wrote {where / PAGE}")
-    raise typer.Exit(130 if found.interrupted else 0 if found.best else 1)
-
-
-# as the table BACKENDS of spikedeploy.jobs has them; a test holds both together
-JobBackend = Literal["serial", "process", "ray"]
+    raise typer.Exit(130 if not finished else 0 if chosen else 1)
 
 
 def sweep(
     *,
     spec: Annotated[Path, typer.Argument(metavar="SPEC.toml", exists=True, dir_okay=False)],
-    backend: JobBackend = "process",
     workers: Workers | None = None,
-    address: Annotated[str, typer.Option(metavar="HOST:PORT")] | None = None,
     retry: bool = False,
     run: bool = True,
     output: Output | None = None,
@@ -421,28 +417,22 @@ def sweep(
     """Evaluate a grid of policies, chips, disturbances and seeds; run again, it goes on.
 
     spec: the grid: env, policy, chip, bits, disturb, fault, specimen, seed; docs/sweeps.md
-    backend: this process, several of one thread each, or tasks of Ray
-    address: with --backend ray: a cluster that is running; 'auto' for that of this machine
-        (default: Ray is started here, and ended)
     retry: run those again that failed, too
     run: run missing jobs; --no-run only shows what is there
 
     Output:
         output: folder of the results (default: runs/sweeps/NAME)
     """
-    from spikedeploy import jobs
-    from spikedeploy.campaign.sweep import is_sweep, load_sweep, run_sweep
+    from spikedeploy.campaign.sweep import RESULTS, is_sweep, load_sweep, run_sweep
     from spikedeploy.campaign.sweep_grid import read_grid
     from spikedeploy.campaign.sweep_page import NUMBERS, PAGE, SHOWN, print_sweep
     from spikedeploy.outputs import check_output_folder
 
     grid = read_grid(spec)
     folder = output or Path("runs/sweeps") / grid.name
-    check_output_folder(
-        "-o", folder, (PAGE, SHOWN, NUMBERS, "journal.csv"), (spec,), force, is_sweep
-    )
-    chosen = jobs.backend(backend, workers, address)
-    found = run_sweep(grid, folder, chosen, retry) if run else load_sweep(grid, folder)
+    files = (PAGE, SHOWN, NUMBERS, RESULTS)
+    check_output_folder("-o", folder, files, (spec,), force, is_sweep)
+    found = run_sweep(grid, folder, workers, retry) if run else load_sweep(grid, folder)
     if json:
         print_json(found.as_json() | {"folder": str(folder), "ran": found.ran})
     else:

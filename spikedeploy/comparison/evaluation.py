@@ -23,7 +23,7 @@ from spikedeploy.comparison.lineup import Entry, remark_on_chip
 from spikedeploy.console import progress, say
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
-from spikedeploy.jobs.pool import local_backend
+from spikedeploy.jobs import local_pool
 from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import mark
 from spikedeploy.policies.registry import (
@@ -69,7 +69,7 @@ def compare_policies(
     played: dict[Entry, list[Episode]] = {}
     with (
         TemporaryDirectory() as folder,
-        local_backend(processes) as pool,
+        local_pool(processes) as pool,
         progress(f"{env}: {len(entries)} policies", len(entries) * len(seeds)) as done,
     ):
 

@@ -12,7 +12,7 @@ from spikedeploy import envs
 from spikedeploy.envs.foreign import AdaptedEnv
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.jobs.pool import SerialBackend, _leave
+from spikedeploy.jobs import Serial, _leave
 from spikedeploy.runtime.errors import EnvError
 from spikedeploy.trainers.distill.teacher import OwnSpaces
 from tests import own_env
@@ -244,7 +244,7 @@ def test_an_environment_that_ends_the_process_is_an_error(monkeypatch, method, d
         env.close()
 
     with pytest.raises(EnvError, match=f"Ends ended the process in {doing}, with sys.exit"):
-        SerialBackend().in_order(lambda _: play(), [0], list)
+        Serial().in_order(lambda _: play(), [0], list)
 
 
 def test_a_signal_that_ends_a_worker_in_a_step_still_ends_it(monkeypatch):

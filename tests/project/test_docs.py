@@ -29,7 +29,6 @@ NOT_RUN = {
     r"compare \S+ last\b": "needs a training",
     r"reproduce results/": "needs results/, which no other command should be able to write",
     r".* --episodes 100\b": "minutes of episodes",
-    r"sweep .* --address\b": "needs a cluster",
     r"run walker/libpolicy": "needs a build; test_native.py runs one",
     r"run hexapod/sparse --via": "needs a build; test_export_verilog.py runs one",
     r"serve\b": "answers until it is stopped; test_server.py asks it",

@@ -86,8 +86,7 @@ COMMANDS = {
                    "-o", "out/export-nir/out.nir", "--json"),
     "export-c": ("export", "kart-steer/snn", "--to", "c", "--chip", "loihi1", "-o", "out/export-c",
                  "--observations", "5", "--json"),
-    "sweep": ("sweep", "sweep.toml", "--backend", "serial", "-o", "out/sweep",
-              "--json"),
+    "sweep": ("sweep", "sweep.toml", "--workers", "1", "-o", "out/sweep", "--json"),
 }  # fmt: skip
 SWEEP = """
 env = "kart-grid"

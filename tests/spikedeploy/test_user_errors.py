@@ -24,7 +24,7 @@ def optional():
     return {
         re.match(r"[a-z]+", package)[0].replace("pyzmq", "zmq"): extra  # as it is imported
         for extra, packages in reversed(extras.items())  # the first that has it
-        if extra in ("train", "fast", "sweep", "serve", "events")
+        if extra in ("train", "fast", "serve", "events")
         for package in packages
         if not package.startswith("spikedeploy[")
     }

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from spikedeploy.campaign import training_seeds
+from spikedeploy.campaign import training_seeds as campaign
 from spikedeploy.campaign.training_seeds import SeedTraining, SeedTrainings, train_seeds
-from spikedeploy.jobs.resumable import INTERRUPTED, JobEnd
+from spikedeploy.jobs import Serial
+from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.train import train
 from tests.paths import ROOT
 
@@ -49,43 +50,25 @@ def test_options_that_do_not_go_together_are_refused(words, said, command):
     assert said in " ".join(err.replace("│", " ").split())
 
 
-@pytest.fixture
-def ends(monkeypatch, tmp_path):
-    """Let the processes of trainings end with these statuses, one leaving a run."""
+def test_a_training_that_fails_says_why_and_the_others_count(tmp_path):
+    def run(logs, arguments, seed):
+        if seed == 4:
+            raise ConfigError("the shop was closed")
+        if seed == 6:
+            raise KeyboardInterrupt
+        return SeedTraining(seed, "runs/a", 7.5)
 
-    def arrange(*statuses, whole=True):
-        def run(jobs, count, ended):
-            for job, status in zip(jobs, statuses, strict=True):
-                job.log.parent.mkdir(exist_ok=True)
-                job.log.write_text("error: the shop was closed\n")
-                if status == 0:
-                    folder = tmp_path / job.name / "checkpoints"
-                    folder.mkdir(parents=True)
-                    (folder / "best.json").write_text('{"eval_return": 7.5}')
-                    (folder / "last.json").write_text('{"finished": true, "share": 1.0}')
-                    Path(job.arguments["place"]).write_text(str(folder.parent))
-                ended(JobEnd(job, 1.0, status))
-            return whole
-
-        monkeypatch.setattr(training_seeds.resumable, "run", run)
-
-    return arrange
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "train_seed", run)
+        patch.setattr(campaign, "Pool", lambda count, attempts: Serial())
+        found = train_seeds([4, 5, 6], 1, tmp_path / "logs", {"recipe": "x"}, lambda each: None)
+    assert found.each[0].line.startswith("seed 4: failed: the shop was closed (")
+    assert found.each[1:] == [SeedTraining(5, "runs/a", 7.5)]
+    assert (found.interrupted, found.estimate.mean) == (True, 7.5)
 
 
-def test_a_training_that_fails_says_why_and_the_others_count(ends, tmp_path):
-    ends(1, 0)
-    found = train_seeds([4, 5], 1, tmp_path / "logs", {"recipe": "x"}, lambda each: None)
-    assert found.each[0].failed.startswith("the shop was closed (")
-    assert found.each[1] == SeedTraining(5, str(tmp_path / "seed-5"), 7.5)
-    assert found.estimate.mean == 7.5
-
-
-def test_what_was_stopped_is_no_part_of_the_mean(ends, tmp_path):
-    ends(INTERRUPTED, whole=False)
-    found = train_seeds([4], 1, tmp_path / "logs", {"recipe": "x"}, lambda each: None)
-    assert found.interrupted
-    assert "before its first checkpoint" in found.each[0].line
-    assert found.estimate is None
+def test_what_was_stopped_is_no_part_of_the_mean():
     some = [SeedTraining(0, "a", 3.0), SeedTraining(1, "b", 9.0, stopped="40 %")]
     assert SeedTrainings(some, True).estimate.mean == 3.0
+    assert SeedTrainings(some[1:], True).estimate is None
     assert some[1].line == "seed 1: stopped at 40 %, best validation return 9, b"

@@ -11,7 +11,6 @@ from spikedeploy.campaign.sweep import run_sweep
 from spikedeploy.campaign.sweep_grid import SweepGrid
 from spikedeploy.emulation.design_report import report_of
 from spikedeploy.emulation.drift_report import drift_report, random_inputs
-from spikedeploy.jobs.pool import SerialBackend
 from spikedeploy.policies import run_record
 from spikedeploy.reports.design import design_page
 from spikedeploy.reports.drift_page import drift_page
@@ -79,7 +78,7 @@ def of_sweep(network, run, folder):
     with pytest.MonkeyPatch.context() as patch:
         toy_stroll_env.install(patch)
         grid = SweepGrid(EVIL, env=("stroll",), policy=(f"{folder}/a.nir", "random"), episodes=2)
-        found = run_sweep(grid, folder / "out", SerialBackend())
+        found = run_sweep(grid, folder / "out")
     return found.files[-1].read_text(encoding="utf-8")
 
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from spikedeploy.jobs import pool
+from spikedeploy import jobs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping import demo_reports
 from tests.pages import now, ready
@@ -14,7 +14,7 @@ from tests.pages import now, ready
 
 def test_the_first_page_replays_each_task_and_leads_to_all(stroll, monkeypatch):
     monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 2})
-    monkeypatch.setattr(pool, "cores", lambda: 1)  # others do not know the toy walker
+    monkeypatch.setattr(jobs, "cores", lambda: 1)  # others do not know the toy walker
     (document,) = demo_reports.write_demo(stroll / "demo", quiet=True)
     index = (stroll / "demo/index.html").read_text()
     assert index.count('id="episodes-data"') == 1
@@ -36,7 +36,7 @@ def test_the_page_opens_at_rest_on_a_phone_with_the_robot_in_its_first_screen(
     browser, stroll, monkeypatch
 ):
     monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 2})
-    monkeypatch.setattr(pool, "cores", lambda: 1)
+    monkeypatch.setattr(jobs, "cores", lambda: 1)
     demo_reports.write_demo(stroll / "demo", quiet=True)
     phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
@@ -64,7 +64,7 @@ def test_the_page_opens_at_rest_on_a_phone_with_the_robot_in_its_first_screen(
 def test_a_demo_replaces_only_what_a_demo_wrote(name, linked, stroll, monkeypatch):
     monkeypatch.setattr(demo_reports, "_TASKS", {"stroll": 1})
     monkeypatch.setattr(sys, "argv", ["spikedeploy", "demo"])  # which the report names
-    monkeypatch.setattr(pool, "cores", lambda: 1)
+    monkeypatch.setattr(jobs, "cores", lambda: 1)
     mine, place = stroll / "mine", stroll / "demo" / name
     place.parent.mkdir(parents=True)
     mine.write_text("mine")

@@ -6,7 +6,8 @@ pytest.importorskip("optuna")
 
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
-from spikedeploy.campaign.tune_plan import TuningPlan, parse_search
+from spikedeploy.campaign.search_space import parse_search
+from spikedeploy.campaign.tune import TuningPlan
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.recipes import RECIPES
 
@@ -32,15 +33,14 @@ def test_ranges_and_choices_are_read_as_they_are_written(text, found):
         ("gamma=0.9|", "nothing to choose"),
         ("gamma=0.9..x", "must be numbers"),
         ("gamma=0.9..nan", "must be numbers"),
-        ("gamma=0.9..0.9", "must be below"),
-        ("gamma=0.9..0.1", "must be below"),
+        ("gamma=0.9..0.9", "lower one first"),
+        ("gamma=0.9..0.1", "lower one first"),
         ("gamma=0..0.9:log", "begins above 0"),
     ],
 )
-def test_a_text_that_says_nothing_is_refused_with_the_remedy(text, why):
-    with pytest.raises(ConfigError, match="--search") as error:
+def test_a_text_that_says_nothing_is_refused(text, why):
+    with pytest.raises(ConfigError, match=f"--search.*{why}" if why[0] != "-" else why):
         parse_search(text)
-    assert why in str(error.value)
 
 
 @pytest.mark.parametrize("recipe", RECIPES)
@@ -58,20 +58,6 @@ def _text(search):
     return f"{search.low}..{search.high}" + ":log" * search.log
 
 
-def test_an_unknown_key_is_refused_with_the_nearest_and_all_known_ones():
-    with pytest.raises(ConfigError, match="did you mean gamma") as error:
-        TuningPlan("smoke", search=("gama=0.9..0.99",)).space  # noqa: B018
-    assert "critic_hidden" in str(error.value)
-
-
-def test_what_is_fixed_is_not_searched():
-    space = TuningPlan("smoke", fixed=("gamma=0.9",)).space
-    assert "gamma" not in space
-    assert "tau" in space
-    with pytest.raises(ConfigError, match="searched and fixed"):
-        TuningPlan("smoke", fixed=("gamma=0.9",), search=("gamma=0.9..0.99",)).space  # noqa: B018
-
-
 @pytest.mark.parametrize(
     ("fields", "why"),
     [
@@ -81,12 +67,23 @@ def test_what_is_fixed_is_not_searched():
         ({"recipe": "smoke-popsan", "objective": "return-at-sops"}, "--sops N"),
         ({"recipe": "smoke-popsan", "sops": 5.0}, "--sops N"),
         ({"recipe": "smoke", "objective": "return,sops"}, "float policy"),
+        ({"recipe": "smoke", "episodes": 1_001}, "--episodes"),
+        ({"recipe": "smoke", "search": ("gama=0.9..0.99",)}, "did you mean gamma.*critic_hidden"),
+        (
+            {"recipe": "smoke", "fixed": ("gamma=0.9",), "search": ("gamma=0.9..0.99",)},
+            "searched and fixed",
+        ),
     ],
 )
 def test_a_plan_that_makes_no_sense_is_refused(fields, why):
-    with pytest.raises(ConfigError) as error:
-        TuningPlan(**fields)
-    assert why in str(error.value)
+    with pytest.raises(ConfigError, match=why):
+        TuningPlan(**fields).space  # noqa: B018
+
+
+def test_what_is_fixed_is_not_searched():
+    space = TuningPlan("smoke", fixed=("gamma=0.9",)).space
+    assert "gamma" not in space
+    assert "tau" in space
 
 
 def test_the_command_of_a_trial_trains_with_its_settings():
