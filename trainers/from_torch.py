@@ -3,17 +3,17 @@
 `network_from_torch` runs the module on an example and records which leaf modules and torch
 functions made each tensor from which. So it takes `nn.Sequential`, a `forward` that computes one
 timestep with states inside or passed in and out, one that loops over timesteps, and layers that
-take all timesteps at once. The parameters of the network are those of the module. `torch_neurons`
-says what neurons of other libraries mean.
+take all timesteps at once. The parameters of the network are those of the module. `torch_layers`
+says which leaf modules have a place on a chip, `torch_neurons` what neurons of libraries mean.
 """
 
 import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from operator import index
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -28,87 +28,52 @@ from spikedeploy.trainers.torch_layers import leaves, node_of
 from spikedeploy.trainers.torch_network import (
     Delay,
     Edge,
-    Map,
     Neurons,
+    Node,
     TorchNetwork,
     Weights,
     flatten,
 )
 from spikedeploy.trainers.torch_neurons import KNOWN
-from spikedeploy.trainers.torch_neurons.adapter import Meaning, TorchNeurons
+from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons
 
+_INPUT, _OUTPUT = TorchNetwork.INPUT, TorchNetwork.OUTPUT
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d)
 _NOTHING = (nn.Dropout, nn.Dropout1d, nn.Dropout2d, nn.Identity)  # in deployment
-# SpikingJelly's, which are not torch's
-_NOTHING_NAMED = ("spikingjelly.activation_based.layer.dropout",)
 _BATCH = 2
-# first axes of the example for a forward that takes all timesteps: more where it counts them
-# itself, in either order
-_ALL_TIMESTEPS = ((3, _BATCH), (30, _BATCH), (_BATCH, 30), (300, _BATCH), (_BATCH, 300))
+# first axes of the example: none besides the batch for a forward of one timestep, else timesteps,
+# more where the forward counts them itself, in either order
+_AXES: tuple[Shape, ...] = (
+    (), (3, _BATCH), (30, _BATCH), (_BATCH, 30), (300, _BATCH), (_BATCH, 300),
+)  # fmt: skip
+
+# functions of torch by what they do to a tensor
+_SAME = {"detach", "clone", "contiguous", "float", "to", "dropout", "requires_grad_"}
+# of batch and time, which come first
+_ARRANGING = {"repeat", "expand", "transpose", "permute", "movedim", "swapaxes"}
+_INDEXING = {"__getitem__", "unbind", "select", "__iter__"}
+_ADDING = {"add", "__add__", "__radd__", "__iadd__", "add_"}
+_STACKING = {"stack", "cat"}
+_RESHAPING = {"flatten", "view", "reshape", "unflatten", "squeeze", "unsqueeze"}
 
 
-@dataclass(frozen=True)
-class _Value:
-    """The origin of a tensor: the sum of the outputs of nodes in some of their calls.
-
-    terms: (node, call) of each, call counted from 0
-    membrane_of: node of neurons whose membrane it is, which no map can read; empty for spikes
-    """
-
-    terms: tuple[tuple[str, int], ...] = ()
-    membrane_of: str = ""
-
-
-class _TimeAxisError(Exception):
-    """The module indexes an axis of its input, or a layer takes one more: that of timesteps."""
-
-
-def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, list[TorchNeurons]]:
-    """Return the network of a module, and its neurons, which say their convention.
+def network_from_torch(module: nn.Module, takes: Shape) -> tuple[TorchNetwork, Convention]:
+    """Return the network of a module, and how its neurons spike and reset.
 
     takes: shape of the input without batch and time
 
     Raises ConfigError with the name of the module, where something has no place on a chip.
     """
     if not isinstance(module, nn.Module):
+        is_class = isinstance(module, type)
+        found = f"the class {module.__name__}" if is_class else f"a {type(module).__name__}"
         raise ConfigError(
-            f"a network is a torch.nn.Module, or a .nir file; found {_described(module)}"
+            f"a network is an instance of torch.nn.Module, or a .nir file; found {found}"
         )
     with _unchanged(module), torch.no_grad():
-        tracer, puts = _traced(module, takes)
-    return tracer.network(takes, puts)
-
-
-def _traced(module: nn.Module, takes: Shape) -> "tuple[_Tracer, _Value]":
-    """Run the module on one timestep, and where that fails on several; return as `_run` does."""
-    failed: Exception | None = None
-    for axes in (None, *_ALL_TIMESTEPS):
-        found = _attempt(module, takes, axes)
-        if not isinstance(found, Exception):
-            return found
-        if isinstance(found, _TimeAxisError):
-            failed = None
-            continue
-        if failed is None or isinstance(failed, IndexError):  # which another example may mend
-            failed = found
-        if axes is not None and not isinstance(found, IndexError):
-            break
-    if isinstance(failed, ConfigError):
-        raise failed
-    raise ConfigError(
-        f"{_name_of(module)}: its forward failed on zeros of a batch of {_BATCH} and shape "
-        f"{takes}: {type(failed).__name__}: {failed}. Give the shape of one timestep of one sample "
-        "as input_shape."
-    ) from failed
-
-
-def _attempt(
-    module: nn.Module, takes: Shape, axes: Shape | None
-) -> "tuple[_Tracer, _Value] | Exception":
-    try:
-        return _run(module, takes, axes)
-    except Exception as error:  # of a forward that was given another shape than it takes
-        return error
+        tracer, output = _traced(module, takes)
+    network = tracer.network(output)
+    return network, _common_convention(network)
 
 
 def artifact_from_torch(
@@ -119,52 +84,78 @@ def artifact_from_torch(
     takes: shape of a timestep of one sample
     dt: [s] of a timestep
     """
-    network, neurons = network_from_torch(module, given_shape(takes))
-    meaning = common_meaning(neurons)
-    reset = meaning.reset if meaning.reset != "none" else "zero"
-    stated = Convention(
-        dt, reset, spikes=meaning.spikes, floor=meaning.floor, source=meaning.described
-    )
-    return network.artifact(stated)
+    network, convention = network_from_torch(module, given_shape(takes))
+    reset = convention.reset if convention.reset != "none" else "zero"
+    return network.artifact(replace(convention, dt=dt, reset=reset))
 
 
 def given_shape(takes: Sequence[int] | int | None) -> Shape:
     """Return the shape of an input, a number for one axis; ConfigError where there is none."""
-    if takes is None:
-        raise ConfigError(
-            "a torch module does not say the shape of its input: give input_shape, of a timestep "
-            "of one sample, as in input_shape=(64,)"
-        )
     try:
-        return (index(takes),) if isinstance(takes, int) else tuple(index(n) for n in takes)
+        return (index(takes),) if isinstance(takes, int) else tuple(index(n) for n in takes)  # type: ignore[union-attr]
     except TypeError:
         raise ConfigError(
-            f"input_shape is {takes!r}; it is a tuple of whole numbers, as in input_shape=(64,)"
+            f"input_shape is {takes!r}, and a torch module does not say the shape of its input: "
+            "give whole numbers, of a timestep of one sample, as in input_shape=(64,)"
         ) from None
 
 
-def common_meaning(neurons: Sequence[TorchNeurons]) -> Meaning:
-    """Return what all spiking neurons mean; ConfigError where layers reset in several ways."""
-    found = {(m.reset, m.spikes, m.floor): m for m in (each.meaning for each in neurons)}
-    spiking = {how: meaning for how, meaning in found.items() if how[0] != "none"}
+def _common_convention(network: TorchNetwork) -> Convention:
+    """Return the convention of all spiking neurons; ConfigError where layers have several."""
+    found = {n.convention: n for n in network.nodes.values() if isinstance(n, TorchNeurons)}
+    spiking = [each for each in found if each.reset != "none"]
     if len(spiking) > 1:
         raise ConfigError(
             "the neurons spike or reset in several ways, and a network on a chip in one: "
-            f"{'; '.join(m.described for m in spiking.values())}. Choose one for all layers."
+            f"{'; '.join(each.source for each in spiking)}. Choose one for all layers."
         )
-    if not spiking:  # by any convention
-        return next(iter(found.values()))
-    (meaning,) = spiking.values()
-    return meaning
+    return (spiking or list(found))[0]
+
+
+# -- running the module
+
+
+class _TimeAxisError(Exception):
+    """The module indexes an axis of its input, or a layer takes one more: that of timesteps."""
+
+
+def _traced(module: nn.Module, takes: Shape) -> "tuple[_Tracer, _Value]":
+    """Run the module on one timestep, and where that fails on several; return as `_run` does."""
+    failed: Exception | None = None
+    for axes in _AXES:
+        found = _attempt(module, takes, axes)
+        if not isinstance(found, Exception):
+            return found
+        if isinstance(found, _TimeAxisError):
+            continue
+        if failed is None or isinstance(failed, IndexError):  # which another example may mend
+            failed = found
+        if axes and not isinstance(found, IndexError):
+            break
+    if isinstance(failed, ConfigError):
+        raise failed
+    raise ConfigError(
+        f"{type(module).__name__}: its forward failed on zeros of a batch of {_BATCH} and shape "
+        f"{takes}: {type(failed).__name__}: {failed}. Give the shape of one timestep of one sample "
+        "as input_shape."
+    ) from failed
+
+
+def _attempt(module: nn.Module, takes: Shape, axes: Shape) -> "tuple[_Tracer, _Value] | Exception":
+    try:
+        return _run(module, takes, axes)
+    except Exception as error:  # of a forward that was given another shape than it takes
+        return error
 
 
 @contextmanager
 def _unchanged(module: nn.Module) -> Iterator[None]:
     """Evaluate the module, and put back its buffers, states and mode afterwards."""
-    training = {each: each.training for each in module.modules()}
-    kept = {each: dict(each._buffers) for each in module.modules()}
-    states = {each: dict(vars(each)) for each in module.modules()}
-    for held in states.values():  # what is changed in place: recordings, states of SpikingJelly
+    modules = list(module.modules())
+    training = [each.training for each in modules]
+    kept = [dict(each._buffers) for each in modules]
+    states = [dict(vars(each)) for each in modules]
+    for held in states:  # what is changed in place: recordings, states of SpikingJelly
         held.update({name: list(each) for name, each in held.items() if type(each) is list})
         if "_memories" in held:
             held["_memories"] = dict(held["_memories"])
@@ -173,31 +164,30 @@ def _unchanged(module: nn.Module) -> Iterator[None]:
     try:
         yield
     finally:
-        for each in module.modules():
-            vars(each).update(states[each])
-            each._buffers.update(kept[each])
-            each.training = training[each]
+        for each, mode, buffers, state in zip(modules, training, kept, states, strict=True):
+            vars(each).update(state)
+            each._buffers.update(buffers)
+            each.training = mode
         torch.set_rng_state(drawn)
 
 
-def _run(module: nn.Module, takes: Shape, axes: Shape | None) -> "tuple[_Tracer, _Value]":
+def _run(module: nn.Module, takes: Shape, axes: Shape) -> "tuple[_Tracer, _Value]":
     """Run the module on zeros; return what was recorded, and its output.
 
-    axes: timesteps and batch of the example, in either order, where the module takes all; None for
-        one timestep, in which the module runs twice, so that states inside it show what they were
-        made of
+    axes: timesteps and batch of the example, in either order, where the module takes all; else the
+        module runs twice, so that states inside it show what they were made of
     """
-    tracer = _Tracer(module, takes, axes is not None)
+    tracer = _Tracer(module, takes, bool(axes))
+    kinds = [p.dtype for p in module.parameters() if p.is_floating_point()]
+    example = torch.zeros(
+        *axes or (_BATCH * _rows(module),), *takes, dtype=kinds[0] if kinds else None
+    )
     handles = tracer.watch()
     try:
         with tracer:
-            if axes is not None:
-                return tracer, tracer.output(module(tracer.example((*axes, *takes))))
-            rows = _BATCH * _rows(module)
-            found = module(tracer.example((rows, *takes)), *tracer.others(module, None))
-            if tracer.is_single():
-                others = tracer.others(module, found)
-                found = module(tracer.example((rows, *takes)), *others)
+            found = module(tracer.input(example), *([] if axes else _states(module, None)))
+            if not axes and tracer.ran_once:
+                found = module(tracer.input(example.clone()), *_states(module, found))
             return tracer, tracer.output(found)
     finally:
         for handle in handles:
@@ -214,67 +204,105 @@ def _rows(module: nn.Module) -> int:
     return math.lcm(1, *(abs(batch * timesteps) for batch, timesteps in sizes))
 
 
+def _states(module: nn.Module, outputs: object) -> list[Any]:
+    """Return the arguments besides the input: the states that the call before returned.
+
+    None for each in the first call, and where the module returns another number of values.
+    """
+    if isinstance(module, nn.Sequential):
+        return []
+    kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+    parameters = list(inspect.signature(module.forward).parameters.values())[1:]
+    wanted = [p for p in parameters if p.kind in kinds]
+    states = list(outputs)[1:] if isinstance(outputs, tuple) else []
+    if states and len(states) == len(wanted):
+        return states
+    return [None for p in wanted if p.default is inspect.Parameter.empty]
+
+
+class _Value(NamedTuple):
+    """The origin of a tensor: the sum of the outputs of nodes in some of their calls.
+
+    terms: (node, call) of each, call counted from 0
+    membrane_of: node of neurons whose membrane it is, which no map can read; empty for spikes
+    made_by: function that made it, and that no node computes; else empty
+    """
+
+    terms: tuple[tuple[str, int], ...] = ()
+    membrane_of: str = ""
+    made_by: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The nodes that it comes from."""
+        return (*filter(None, [self.membrane_of]), *(name for name, _ in self.terms))
+
+
+_GIVEN = _Value(((_INPUT, 0),))
+
+
 class _Tracer(TorchFunctionMode):
-    """Records which nodes each tensor comes from, while a module runs."""
+    """Records which nodes each tensor comes from, while a module runs.
+
+    nodes: by name, in order of their first call
+    arrived: what arrived at each node in each of its calls
+    """
 
     def __init__(self, root: nn.Module, takes: Shape, loops: bool) -> None:
         super().__init__()
-        self._root, self._given, self._loops = root, takes, loops
+        self._root, self._takes, self._loops = root, takes, loops
         # by identity; the tensors are kept, so that none takes the place of another
         self._values: dict[int, tuple[Tensor, _Value]] = {}
-        self.nodes: dict[str, Map | Neurons] = {}
+        self.nodes: dict[str, Node] = {}
         self.arrived: dict[str, list[_Value]] = {}
-        self._inputs: list[Tensor] = []
         self._inside = 0
-        self._unknown: dict[int, tuple[Tensor, str]] = {}
 
-    # what a run gives
+    def input(self, example: Tensor) -> Tensor:
+        """Return an example of the input, which is known as such."""
+        self._know(example, _GIVEN)
+        return example
 
-    def example(self, shape: Shape) -> Tensor:
-        """Return an input of zeros, which is known as such."""
-        kinds = [p.dtype for p in self._root.parameters() if p.is_floating_point()]
-        x = torch.zeros(shape, dtype=kinds[0] if kinds else None)
-        self._inputs.append(x)
-        self._know(x, _Value(((TorchNetwork.INPUT, len(self._inputs) - 1),)))
-        return x
-
-    def others(self, module: nn.Module, outputs: object) -> list[Any]:
-        """Return the arguments besides the input: the states that the call before returned.
-
-        None for each in the first call, and where the module returns another number of values.
-        """
-        if isinstance(module, nn.Sequential):
-            return []
-        kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
-        parameters = list(inspect.signature(module.forward).parameters.values())[1:]
-        wanted = [p for p in parameters if p.kind in kinds]
-        states = list(outputs)[1:] if isinstance(outputs, tuple) else []
-        if states and len(states) == len(wanted):
-            return states
-        return [None for p in wanted if p.default is inspect.Parameter.empty]
-
-    def is_single(self) -> bool:
-        """Return True if all neurons were called once."""
-        return all(len(calls) == 1 for n, calls in self.arrived.items() if self._is_neurons(n))
+    @property
+    def ran_once(self) -> bool:
+        """Whether all neurons were called once."""
+        return all(len(self.arrived[name]) == 1 for name in self._neurons())
 
     def output(self, found: object) -> _Value:
         """Return where the first output comes from; of a list or stack, the last timestep's."""
         for each in _tensors(found):
             value = self._value(each)
-            if value is not None and (value.terms or value.membrane_of):
+            if value is not None and not value.made_by:
                 return value
         raise ConfigError(
-            f"{_name_of(self._root)}: its output does not come from its layers alone, or is not a "
-            "tensor. Return the spikes of the last layer, or a list or stack of them; sum and "
-            "softmax belong to the loss."
+            f"{type(self._root).__name__}: its output does not come from its layers alone, or is "
+            "not a tensor. Return the spikes of the last layer, or a list or stack of them; sum "
+            "and softmax belong to the loss."
         )
 
-    # while it runs
+    def _neurons(self) -> list[str]:
+        return [name for name, node in self.nodes.items() if isinstance(node, Neurons)]
+
+    def _value(self, tensor: Tensor) -> _Value | None:
+        found = self._values.get(id(tensor))
+        return None if found is None else found[1]
+
+    def _know(self, result: object, value: _Value) -> None:
+        for tensor in _tensors(result):
+            self._values[id(tensor)] = tensor, value
+
+    def _shape(self, value: _Value | None, tensor: Tensor) -> Shape:
+        """Return the shape of a value without batch and time."""
+        if value is None or not value.names:
+            return tuple(tensor.shape[1:])
+        first = value.names[0]
+        return self._takes if first == _INPUT else self.nodes[first].puts
+
+    # leaf modules
 
     def watch(self) -> list[Any]:
         """Hook the leaf modules; return the handles."""
         handles = []
-        taken = {TorchNetwork.INPUT, TorchNetwork.OUTPUT}  # of the graph's ends
+        taken = {_INPUT, _OUTPUT}  # of the graph's ends
         for name, module in leaves(self._root):
             name = name or type(module).__name__.lower()
             while name in taken:
@@ -295,23 +323,104 @@ class _Tracer(TorchFunctionMode):
     def _leave(self, name: str, module: nn.Module) -> Callable[[Any, Any, Any], None]:
         def leave(_: nn.Module, arguments: tuple[Any, ...], result: object) -> None:
             if self._inside == 1:
-                arriving = self._arriving(name, module, arguments[0])
-                found = _tensors(result)
-                values = [arriving]
-                if not self._is_nothing(module, arguments[0], found[0]):
-                    takes = self._takes(name, arguments[0], arriving)
-                    node = self._call(name, module, takes, arriving)
-                    self._check_axes(name, arguments[0], takes)
-                    membrane = _Value(membrane_of=node)
-                    self._know_all(result, [membrane] * len(found))
-                    # the output last, which states may hold again
-                    has_spikes = getattr(self.nodes[node], "has_spikes", True)
-                    spikes = _Value(((node, len(self.arrived[node]) - 1),))
-                    values = [spikes if has_spikes else membrane]
-                self._know_all(result, values)
+                given = arguments[0]
+                arriving, first = self._arriving(name, given), _tensors(result)[0]
+                if not self._is_nothing(module, given, first):
+                    node = self._call(name, module, given, arriving)
+                    self._know(result, _Value(membrane_of=node))  # the states of neurons
+                    if getattr(self.nodes[node], "has_spikes", True):
+                        arriving = _Value(((node, len(self.arrived[node]) - 1),))
+                    else:
+                        arriving = _Value(membrane_of=node)
+                self._know(first, arriving)  # the output last, which states may hold again
             self._inside -= 1
 
         return leave
+
+    def _arriving(self, name: str, tensor: object) -> _Value:
+        """Return where the input of a leaf comes from."""
+        if not isinstance(tensor, Tensor):
+            raise ConfigError(f"{name}: its input is {type(tensor).__name__} and no tensor.")
+        value = self._value(tensor)
+        if value is None and not tensor.any():
+            return _Value()  # spikes before the first timestep
+        if value is not None and value.membrane_of:
+            raise ConfigError(
+                f"{name}: it receives the membranes of {value.membrane_of}; between layers of a "
+                "chip go spikes alone. Pass on the spikes, the first value that neurons return."
+            )
+        if value is None or value.made_by:
+            raise ConfigError(
+                f"{name}: it receives what {value.made_by if value else 'a constant'} makes, which "
+                "has no place between layers of a chip. Possible are sums, flattening, Linear, "
+                "Conv1d, Conv2d, AvgPool2d, BatchNorm and neurons."
+            )
+        return value
+
+    def _is_nothing(self, module: nn.Module, before: Tensor, after: Tensor) -> bool:
+        """Return True for a layer that a network on a chip does without."""
+        kind = type(module)  # those of SpikingJelly and sinabs are not torch's
+        if isinstance(module, _NOTHING) or kind.__module__.endswith(
+            "activation_based.layer.dropout"
+        ):
+            return True
+        arranges = isinstance(module, nn.Flatten | nn.Unflatten) or kind.__name__ == "UnflattenTime"
+        return arranges and self._is_arranged(before, after)
+
+    def _call(self, name: str, module: nn.Module, tensor: Tensor, arriving: _Value) -> str:
+        """Record a call of a leaf; return the name of its node."""
+        takes = self._shape(arriving, tensor)
+        if tensor.shape[tensor.ndim - len(takes) :] != takes:
+            raise ConfigError(
+                f"{name}: its input has shape {tuple(tensor.shape)}, and what arrives has {takes} "
+                "in a timestep of a sample. Flatten all axes but batch and time, or none."
+            )
+        if isinstance(module, _NORMS):
+            return self._fold(name, module, arriving)
+        if name not in self.nodes:
+            self.nodes[name] = node_of(name, module, takes)
+        node = self.nodes[name]
+        if isinstance(node, TorchNeurons):
+            if (inputs := node.inputs()) is not None:
+                arriving = self._pass(f"{name}.input", inputs, arriving)
+            self._check_time(name, node, tensor.ndim - len(takes))
+        self._pass(name, node, arriving)
+        return name
+
+    def _pass(self, name: str, node: Node, arriving: _Value) -> _Value:
+        self.nodes.setdefault(name, node)
+        self.arrived.setdefault(name, []).append(arriving)
+        return _Value(((name, len(self.arrived[name]) - 1),))
+
+    def _fold(self, name: str, norm: nn.Module, arriving: _Value) -> str:
+        """Fold a normalisation into the weights before it; return their name."""
+        (source, _), *others = arriving.terms or (("", 0),)
+        before = self.nodes.get(source)
+        if others or not isinstance(before, Weights) or before.norm not in (None, norm):
+            raise ConfigError(
+                f"{name}: {type(norm).__name__} is folded into the weights before it. Put it "
+                "directly behind one Linear or convolution."
+            )
+        before.norm = norm
+        return source
+
+    def _check_time(self, name: str, node: TorchNeurons, axes: int) -> None:
+        """Refuse neurons for which an axis of timesteps is one of the batch, or the reverse."""
+        if axes < 2 and node.takes_time:
+            if not self._loops:
+                raise _TimeAxisError
+            raise ConfigError(
+                f"{name}: {node.convention.source} takes all timesteps at once, and receives one. "
+                "Take its form of one timestep, or call the layer once with all."
+            )
+        if axes > 1 and not node.takes_time:
+            raise ConfigError(
+                f"{name}: {node.convention.source} takes one timestep, and receives an axis more "
+                "than the batch. Call it once in each timestep, or take the form that takes all: "
+                "SpikingJelly's step_mode='m', Norse's LIF."
+            )
+
+    # functions between them
 
     def __torch_function__(
         self,
@@ -322,136 +431,102 @@ class _Tracer(TorchFunctionMode):
     ) -> Any:  # noqa: ANN401
         """Call the function; note where its result comes from."""
         result = function(*arguments, **(options or {}))
-        if not self._inside:
-            name = getattr(function, "__name__", str(function))
-            if name == "__setitem__":  # it changes a tensor and returns none
-                self._written(arguments[0], arguments[2])
-            elif _tensors(result):
-                self._note(name, arguments, options or {}, result)
+        name = getattr(function, "__name__", str(function))
+        if not self._inside and name == "__setitem__":  # it changes a tensor and returns none
+            self._note_written(arguments[0], arguments[2])
+        elif not self._inside and _tensors(result):
+            known = [self._value(each) for each in _tensors(arguments)]
+            if values := [each for each in known if each is not None]:
+                complete = len(values) == len(known)
+                self._know(
+                    result, self._value_of(name, arguments, options, result, values, complete)
+                )
         return result
 
-    def _written(self, target: Tensor, source: object) -> None:
+    def _note_written(self, target: Tensor, source: object) -> None:
         """Note that a tensor was written to: it may collect timesteps, as `stack` does."""
         value = self._value(source) if isinstance(source, Tensor) else None
         before = self._value(target)
         if value is None and before is None:
             return
         collects = isinstance(source, Tensor) and target.shape[1:] == source.shape
-        if (
-            value is not None
-            and collects
-            and id(target) not in self._unknown
-            and (before is None or _nodes(before) == _nodes(value))
-        ):
-            self._know(target, value)
-        else:
-            self._forget(target, "__setitem__")
+        same = value is not None and (before is None or before.names == value.names)
+        made_by = any(each is not None and each.made_by for each in (value, before))
+        is_stack = collects and same and not made_by
+        self._know(target, value if is_stack and value else _Value(made_by="__setitem__"))
 
-    def _note(
-        self, function: str, arguments: Sequence[Any], options: Mapping[str, Any], result: object
-    ) -> None:
-        for each in _tensors(arguments):
-            if id(each) in self._unknown:
-                return self._forget(result, self._unknown[id(each)][1])
-        known = [self._value(each) for each in _tensors(arguments)]
-        terms = [each for each in known if each is not None]
-        if not terms:
-            return None
-        first = arguments[0]
-        arranges = function in _ARRANGING and self._is_arranged(first, result)
-        if (function in _SAME or arranges) and len(terms) == 1:
-            self._know_all(result, terms)
-        elif function in _INDEXING and any(first is x for x in self._inputs):
-            if not self._loops:
-                raise _TimeAxisError
-            self._at_timesteps(function, arguments, result)
-        elif function in _ADDING and len(terms) == len(known) and _adds(arguments, options, terms):
-            self._know_all(result, [_Value(tuple(t for each in terms for t in each.terms))])
-        elif (
-            function in _STACKING
-            and len({_nodes(each) for each in known}) == 1
-            and self._stacks(_tensors(arguments)[0], result, terms[0])
-        ):
-            self._know_all(result, [terms[-1]])  # timesteps of one node
-        elif function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
-            self._know_all(result, [self._reshaped(function, first, result, terms[0])])
-        else:
-            self._forget(result, function)
-        return None
+    def _value_of(
+        self,
+        function: str,
+        arguments: Sequence[Any],
+        options: Mapping[str, Any] | None,
+        result: Any,  # noqa: ANN401
+        values: Sequence[_Value],
+        complete: bool,
+    ) -> _Value:
+        """Return where the result of a function comes from.
 
-    def _forget(self, result: object, function: str) -> None:
-        """Note which function made tensors that no node can make."""
-        for each in _tensors(result):
-            self._values.pop(id(each), None)
-            self._unknown[id(each)] = each, function
+        values: of the tensors among its arguments that are known
+        complete: whether all are
+        """
+        first, value = arguments[0], values[0]
+        for each in values:
+            if each.made_by:
+                return each
+        unchanged = function in _SAME or (
+            function in _ARRANGING and self._is_arranged(first, result)
+        )
+        if unchanged and len(values) == 1:
+            return value
+        if function in _INDEXING and value == _GIVEN and self._has_timesteps(first):
+            self._check_index(function, arguments)
+            return _GIVEN
+        if function in _ADDING and complete and _adds(arguments, options, values):
+            return _Value(tuple(term for each in values for term in each.terms))
+        if function in _STACKING and complete and len({each.names for each in values}) == 1:
+            shape, before = self._shape(value, _tensors(first)[0]), _tensors(first)[0]
+            if result.ndim > before.ndim or result.shape[result.ndim - len(shape) :] == shape:
+                return values[-1]  # timesteps of one node
+        if function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
+            return self._reshaped(function, first, result, value)
+        return _Value(made_by=function)
 
-    def _at_timesteps(self, function: str, arguments: Sequence[Any], result: object) -> None:
-        if function == "__getitem__":
-            place = arguments[1]
-            if isinstance(place, tuple):  # x[t, :, :], or x[:, t] of an input that has batch first
-                numbers = [n for n in place[:2] if isinstance(n, int)]
-                rest = [n for n in place if not isinstance(n, int) and n not in (slice(None), ...)]
-                place = numbers[0] if len(numbers) == 1 and not rest else place
-        else:
-            place = arguments[2] if len(arguments) > 2 else 0
-        each = [result] if isinstance(result, Tensor) else _tensors(result)
-        start = place if isinstance(place, int) and isinstance(result, Tensor) else 0
-        if not isinstance(place, int):
+    def _has_timesteps(self, given: Tensor) -> bool:
+        if not self._loops:
+            raise _TimeAxisError
+        return given.ndim == len(self._takes) + 2
+
+    def _check_index(self, function: str, arguments: Sequence[Any]) -> None:
+        """Refuse indices of the input other than whole numbers, as in x[t] or x[:, t]."""
+        if function != "__getitem__":
+            return
+        place = arguments[1]
+        places = place if isinstance(place, tuple) else (place,)
+        whole = [isinstance(each, int) for each in places]
+        others = [each for each in places if not isinstance(each, int)]
+        if sum(whole) != 1 or any(whole[2:]) or any(
+            each is not ... and not (isinstance(each, slice) and each == slice(None))
+            for each in others
+        ):  # fmt: skip
             raise ConfigError(
-                f"{_name_of(self._root)}: its forward indexes its input by {place!r}; a network on "
-                "a chip takes one timestep after another. Index timesteps by whole numbers, or "
-                "write a forward of one timestep."
+                f"{type(self._root).__name__}: its forward indexes its input by {place!r}; a "
+                "network on a chip takes one timestep after another. Index timesteps by whole "
+                "numbers, or write a forward of one timestep."
             )
-        for t, tensor in enumerate(each, start):
-            self._know(tensor, _Value(((TorchNetwork.INPUT, t),)))
 
     def _reshaped(self, function: str, before: Tensor, after: Tensor, value: _Value) -> _Value:
         takes = self._shape(value, before)
         if self._is_arranged(before, after):
             return value
         flattens = after.shape[-1:] == (math.prod(takes),)
-        if not flattens or before.shape[len(before.shape) - len(takes) :] != takes:
+        if not flattens or before.shape[before.ndim - len(takes) :] != takes:
             raise ConfigError(
-                f"{_name_of(self._root)}: {function} makes {tuple(after.shape)} of "
+                f"{type(self._root).__name__}: {function} makes {tuple(after.shape)} of "
                 f"{tuple(before.shape)}; between layers a network on a chip can only flatten all "
                 "axes but the batch. Use nn.Flatten()."
             )
-        flat = flatten(takes)
         name = "+".join(name for name, _ in value.terms) + ".flatten"
-        return self._pass(name, flat, value)
-
-    def _pass(self, name: str, node: Map | Neurons, arriving: _Value) -> _Value:
-        self.nodes.setdefault(name, node)
-        self.arrived.setdefault(name, []).append(arriving)
-        return _Value(((name, len(self.arrived[name]) - 1),))
-
-    def _call(self, name: str, module: nn.Module, takes: Shape, arriving: _Value) -> str:
-        if isinstance(module, _NORMS):
-            return self._folded(name, module, arriving)
-        if name not in self.nodes:
-            self.nodes[name] = node_of(name, module, takes)
-        node = self.nodes[name]
-        inputs = node.inputs() if isinstance(node, TorchNeurons) else None
-        if inputs is not None:
-            arriving = self._pass(f"{name}.input", inputs, arriving)
-        self.arrived.setdefault(name, []).append(arriving)
-        return name
-
-    def _shape(self, value: _Value | None, tensor: Tensor) -> Shape:
-        """Return the shape of a value without batch and time."""
-        for source in _nodes(value):
-            if source == TorchNetwork.INPUT:
-                return self._given
-            if source:
-                return self.nodes[source].puts
-        return tuple(tensor.shape[1:])
-
-    def _stacks(self, before: Tensor, after: object, value: _Value) -> bool:
-        """Return True if tensors of a node are put one behind the other in batch or time."""
-        shape = self._shape(value, before)
-        return isinstance(after, Tensor) and (
-            after.ndim > before.ndim or after.shape[after.ndim - len(shape) :] == shape
-        )
+        return self._pass(name, flatten(takes), value)
 
     def _is_arranged(self, before: object, after: object) -> bool:
         """Return True if only batch and time have other axes after a function than before."""
@@ -465,102 +540,44 @@ class _Tracer(TorchFunctionMode):
         # neither reshaped nor moved
         return [each for each in old if each[0] > 1] == [each for each in new if each[0] > 1]
 
-    def _is_nothing(self, module: nn.Module, before: Tensor, after: Tensor) -> bool:
-        """Return True for a layer that a network on a chip does without."""
-        if isinstance(module, _NOTHING) or type(module).__module__ in _NOTHING_NAMED:
-            return True
-        arranges = isinstance(module, nn.Flatten | nn.Unflatten)
-        arranges |= type(module).__name__ == "UnflattenTime"  # of sinabs
-        return arranges and self._is_arranged(before, after)
+    # the network that it comes to
 
-    def _takes(self, name: str, tensor: Tensor, arriving: _Value) -> Shape:
-        """Return the shape of a leaf's input without batch and time."""
-        takes = self._shape(arriving, tensor)
-        if tensor.shape[len(tensor.shape) - len(takes) :] != takes:
+    def network(self, output: _Value) -> TorchNetwork:
+        """Return the network whose last recorded timestep this is."""
+        if not self._neurons():
             raise ConfigError(
-                f"{name}: its input has shape {tuple(tensor.shape)}, and what arrives has {takes} "
-                "in a timestep of a sample. Flatten all axes but batch and time, or none."
+                f"{type(self._root).__name__}: it has no neurons that are known. Known are {KNOWN}."
             )
-        return takes
-
-    def _check_axes(self, name: str, tensor: Tensor, takes: Shape) -> None:
-        """Refuse neurons for which an axis of timesteps is one of the batch, or the reverse."""
-        node = self.nodes.get(name)
-        if not isinstance(node, TorchNeurons):
-            return
-        axes = tensor.ndim - len(takes)
-        if axes < 2 and node.takes_time:
-            if not self._loops:
-                raise _TimeAxisError
+        if _INPUT in output.names:
             raise ConfigError(
-                f"{name}: {node.meaning.described} takes all timesteps at once, and receives one. "
-                "Take its form of one timestep, or call the layer once with all."
+                "its input is added to its output; what leaves a chip comes from its layers. Put "
+                "neurons, or a layer, between them."
             )
-        if axes > 1 and not node.takes_time:
-            raise ConfigError(
-                f"{name}: {node.meaning.described} takes one timestep, and receives an axis more "
-                "than the batch. Call it once in each timestep, or take the form that takes all: "
-                "SpikingJelly's step_mode='m', Norse's LIF."
-            )
-
-    def _folded(self, name: str, norm: nn.Module, arriving: _Value) -> str:
-        """Fold a normalisation into the weights before it; return their name."""
-        (source, _), *others = arriving.terms or (("", 0),)
-        before = self.nodes.get(source)
-        if others or not isinstance(before, Weights) or before.norm not in (None, norm):
-            raise ConfigError(
-                f"{name}: {type(norm).__name__} is folded into the weights before it. Put it "
-                "directly behind one Linear or convolution."
-            )
-        before.norm = norm  # type: ignore[assignment]
-        return source
-
-    def _arriving(self, name: str, module: nn.Module, tensor: object) -> _Value:
-        """Return where the input of a leaf comes from."""
-        if not isinstance(tensor, Tensor):
-            raise ConfigError(f"{name}: its input is {type(tensor).__name__} and no tensor.")
-        value = self._value(tensor)
-        if value is not None and value.membrane_of:
-            raise ConfigError(
-                f"{name}: it receives the membranes of {value.membrane_of}; between layers of a "
-                "chip go spikes alone. Pass on the spikes, the first value that neurons return."
-            )
-        if value is not None:
-            return value
-        if not tensor.any() and id(tensor) not in self._unknown:
-            return _Value()  # spikes before the first timestep
-        function = self._unknown.get(id(tensor), (tensor, "a constant"))[1]
-        raise ConfigError(
-            f"{name}: it receives what {function} makes, which has no place between layers of a "
-            "chip. Possible are sums, flattening, Linear, Conv1d, Conv2d, AvgPool2d, BatchNorm and "
-            "neurons."
-        )
-
-    def _is_neurons(self, name: str) -> bool:
-        return isinstance(self.nodes[name], Neurons)
-
-    def _value(self, tensor: Tensor) -> _Value | None:
-        found = self._values.get(id(tensor))
-        return None if found is None else found[1]
-
-    def _know(self, tensor: Tensor, value: _Value) -> None:
-        self._values[id(tensor)] = tensor, value
-
-    def _know_all(self, result: object, values: Sequence[_Value]) -> None:
-        for tensor, value in zip(_tensors(result), values, strict=False):
-            self._know(tensor, value)
-
-    # what it comes to
+        if output.membrane_of:
+            self.nodes[output.membrane_of].read_membrane()  # type: ignore[operator]
+        nodes = dict(self.nodes)
+        found = {(s, target): lag for target in self.arrived for s, lag in self._sources(target)}
+        edges = {*found, *((end, _OUTPUT) for end in output.names)}
+        for name, node in self.nodes.items():
+            if isinstance(node, TorchNeurons) and (recurrent := node.recurrent()) is not None:
+                nodes[f"{name}.recurrent"] = recurrent
+                edges |= {(name, f"{name}.recurrent"), (f"{name}.recurrent", name)}
+        for source, target in sorted(edge for edge, lag in found.items() if lag):
+            if not _leads(target, source, edges):  # in a loop NIR delivers a timestep late anyway
+                nodes[f"{source}.delay"] = Delay(np.ones(nodes[source].puts, np.int64))
+                edges.remove((source, target))
+                edges |= {(source, f"{source}.delay"), (f"{source}.delay", target)}
+        return TorchNetwork(nodes, sorted(edges), self._takes, nodes[output.names[0]].puts)
 
     def _sources(self, target: str) -> set[tuple[str, int]]:
         """Return the sources of a node, and by how many timesteps each is late, 0 or 1.
 
         Raises ConfigError where the node is not called once a timestep, or from elsewhere in some.
         """
-        timesteps = max(len(c) for name, c in self.arrived.items() if self._is_neurons(name))
+        timesteps = max(len(self.arrived[name]) for name in self._neurons())
         calls = self.arrived[target]
         # of a static input once, in front of the loop
-        if len(calls) not in (1 if not self._is_neurons(target) else timesteps, timesteps):
+        if len(calls) != timesteps and (len(calls) != 1 or target in self._neurons()):
             raise ConfigError(
                 f"{target}: it is called {len(calls)} times in {timesteps} timesteps; on a chip a "
                 "layer works once in each. Make a layer of its own for each place."
@@ -570,10 +587,8 @@ class _Tracer(TorchFunctionMode):
             for at, value in enumerate(calls)
         ]
         wanted = found[-1]
-        prompt = {(source, lag) for source, lag in wanted if not lag}
-        if any(each != wanted for each in found[1:]) or found[0] != (
-            prompt if len(found) > 1 else wanted
-        ):
+        at_first = {(source, lag) for source, lag in wanted if not lag or len(found) == 1}
+        if any(each != wanted for each in found[1:]) or found[0] != at_first:
             raise ConfigError(
                 f"{target}: its inputs are not the same in every timestep. Write a forward of one "
                 "timestep, or one loop."
@@ -584,60 +599,12 @@ class _Tracer(TorchFunctionMode):
 
     def _is_static(self, source: str) -> bool:
         """Return True for the input, and for what was called once in front of a loop."""
-        return source == TorchNetwork.INPUT or len(self.arrived[source]) == 1
-
-    def network(self, takes: Shape, output: _Value) -> tuple[TorchNetwork, list[TorchNeurons]]:
-        """Return the network whose last recorded timestep this is."""
-        if not any(isinstance(node, Neurons) for node in self.nodes.values()):
-            raise ConfigError(
-                f"{_name_of(self._root)}: it has no neurons that are known. Known are {KNOWN}."
-            )
-        nodes: dict[str, Map | Neurons | Delay] = dict(self.nodes)
-        edges: set[Edge] = set()
-        late: set[Edge] = set()
-        for target in self.arrived:
-            for source, lag in self._sources(target):
-                edges.add((source, target))
-                if lag:
-                    late.add((source, target))
-        if output.membrane_of:
-            last = nodes[output.membrane_of]
-            assert isinstance(last, TorchNeurons)
-            last.read_membrane()
-            ends = [output.membrane_of]
-        else:
-            ends = [source for source, _ in output.terms]
-        edges |= {(end, TorchNetwork.OUTPUT) for end in ends}
-        for name, node in list(nodes.items()):
-            if isinstance(node, TorchNeurons) and (recurrent := node.recurrent()) is not None:
-                nodes[f"{name}.recurrent"] = recurrent
-                edges |= {(name, f"{name}.recurrent"), (f"{name}.recurrent", name)}
-        for source, target in sorted(late):
-            if not _leads(target, source, edges):  # in a loop NIR delivers a timestep late anyway
-                steps = np.ones(nodes[source].puts, np.int64)
-                nodes[f"{source}.delay"] = Delay(steps)
-                edges.remove((source, target))
-                edges |= {(source, f"{source}.delay"), (f"{source}.delay", target)}
-        if TorchNetwork.INPUT in ends:
-            raise ConfigError(
-                "its input is added to its output; what leaves a chip comes from its layers. Put "
-                "neurons, or a layer, between them."
-            )
-        puts = nodes[ends[0]].puts
-        neurons = [node for node in nodes.values() if isinstance(node, TorchNeurons)]
-        return TorchNetwork(nodes, sorted(edges), takes, puts), neurons
+        return source == _INPUT or len(self.arrived[source]) == 1
 
 
-_SAME = {"detach", "clone", "contiguous", "float", "to", "dropout", "requires_grad_"}
-# of batch and time, which come first
-_ARRANGING = {"repeat", "expand", "transpose", "permute", "movedim", "swapaxes"}
-_INDEXING = {"__getitem__", "unbind", "select", "__iter__"}
-_ADDING = {"add", "__add__", "__radd__", "__iadd__", "add_"}
-_STACKING = {"stack", "cat"}
-_RESHAPING = {"flatten", "view", "reshape", "unflatten", "squeeze", "unsqueeze"}
-
-
-def _adds(arguments: Sequence[Any], options: Mapping[str, Any], values: Sequence[_Value]) -> bool:
+def _adds(
+    arguments: Sequence[Any], options: Mapping[str, Any] | None, values: Sequence[_Value]
+) -> bool:
     """Return True if a sum adds tensors of several nodes, or 0 as Python's `sum` does."""
     constants = [each for each in arguments if not isinstance(each, Tensor)]
     nodes = [term for each in values for term in each.terms]
@@ -645,22 +612,15 @@ def _adds(arguments: Sequence[Any], options: Mapping[str, Any], values: Sequence
     return not options and all(each == 0 for each in constants) and len({*nodes}) == len(nodes)
 
 
-def _nodes(value: _Value | None) -> tuple[str, ...]:
-    """Return the names of the nodes that a tensor comes from."""
-    return () if value is None else (value.membrane_of, *(name for name, _ in value.terms))
-
-
 def _leads(start: str, end: str, edges: set[Edge]) -> bool:
     """Return True if edges lead from one node to another."""
     seen, waiting = {start}, [start]
     while waiting:
         here = waiting.pop()
-        if here == end:
-            return True
         new = {target for source, target in edges if source == here} - seen
         seen |= new
         waiting += new
-    return False
+    return end in seen
 
 
 def _tensors(found: object) -> list[Tensor]:
@@ -672,14 +632,3 @@ def _tensors(found: object) -> list[Tensor]:
     if isinstance(found, tuple | list):
         return [tensor for each in found for tensor in _tensors(each)]
     return []
-
-
-def _described(thing: object) -> str:
-    """Return what is no module, and what to do with a class."""
-    if isinstance(thing, type):
-        return f"the class {thing.__name__}: give an instance, as in {thing.__name__}()"
-    return f"a {type(thing).__name__}"
-
-
-def _name_of(module: nn.Module) -> str:
-    return type(module).__name__

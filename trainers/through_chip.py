@@ -14,14 +14,15 @@ where dV'/dV = (1 - s) - V s' if a spike resets to zero, and 1 - threshold s' if
 threshold, as in snnTorch's neurons with reset_delay=False. Of neurons that spike several times in a
 timestep and then are 0, V is the sum of all that arrived in it, so that V s' would grow without
 bounds from timestep to timestep: no gradient goes through that reset. With `detach_reset` none goes
-through any, as by SpikingJelly's option of this name (Zenke and Vogels 2021).
+through any, as by SpikingJelly's option of this name (Zenke and Vogels 2021). Layers are
+differentiated over all timesteps at once; in a network with loops over one after another.
 """
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 from pathlib import Path
 from typing import Any, cast
 
@@ -42,7 +43,8 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from spikedeploy.runtime.families.numba_frame import kept_on_disk
 from spikedeploy.runtime.graph.order import Timing, timing
-from spikedeploy.trainers.from_torch import common_meaning, given_shape, network_from_torch
+from spikedeploy.trainers.fitting import fit
+from spikedeploy.trainers.from_torch import given_shape, network_from_torch
 from spikedeploy.trainers.neurons import Surrogate, surrogate
 from spikedeploy.trainers.torch_network import (
     Delay,
@@ -52,9 +54,9 @@ from spikedeploy.trainers.torch_network import (
     Weights,
     network_of,
 )
-from spikedeploy.trainers.torch_neurons.adapter import Meaning
 
 Array = NDArray[np.floating[Any]]
+_MEMBRANES, _ZERO, _SUBTRACT = range(3)  # what a layer puts out, or how its spikes reset
 
 
 def on_chip(
@@ -82,25 +84,23 @@ def on_chip(
     Raises ConfigError where the module has no form on a chip, RuleError where it does not fit. A
     neuron that the chip does not have is trained as the nearest that it has; a warning says so.
     """
-    target = chip(chip_name)
+    target, codec = chip(chip_name), None
     if isinstance(network, Artifact):
-        nodes, stated, codec = network_of(network), network.convention, network.codec
-        meaning = Meaning(stated.reset, stated.spikes, "a neuron of the file", stated.floor)
+        nodes, wanted, codec = network_of(network), network.convention, network.codec
     else:
-        nodes, neurons = network_from_torch(network, given_shape(input_shape))
-        meaning = common_meaning(neurons)
-        stated, codec = Convention(dt, source="as trained"), None
-    convention = convention_on(target, stated, meaning)
-    fitted = nodes.fit(target) if limits else ""
+        nodes, wanted = network_from_torch(network, given_shape(input_shape))
+        wanted = replace(wanted, dt=dt, source="as trained")
+    found = convention_on(target, wanted)
+    fitted = fit(nodes, target) if limits else ""
     chosen = surrogate_name, surrogate_width
-    module = ChipModule(nodes, target, convention, codec, limits, *chosen, detach_reset)
+    module = ChipModule(nodes, target, found, codec, limits, *chosen, detach_reset)
     module.program()  # what does not fit is refused here
-    for remark in filter(None, (nearest_remark(target, convention, meaning), fitted)):
+    for remark in filter(None, (nearest_remark(target, found, wanted), fitted)):
         warnings.warn(remark, stacklevel=2)
     return module
 
 
-def nearest_remark(target: Chip, found: Convention, wanted: Meaning) -> str:
+def nearest_remark(target: Chip, found: Convention, wanted: Convention) -> str:
     """Return how the neurons of a chip differ from those that are wanted; empty if they do not."""
     parts = []
     if wanted.reset not in (found.reset, "none"):
@@ -108,15 +108,15 @@ def nearest_remark(target: Chip, found: Convention, wanted: Meaning) -> str:
             f"resets by {wanted.reset!r}, which {target.name} does not; trained is the nearest "
             f"that it does, reset {found.reset!r} in the timestep of the spike"
         )
-    if wanted.spikes == "many" and wanted.reset != "none" and found.spikes != "many":
+    if wanted.spikes == "many" and found.spikes != "many":
         parts.append(
             f"puts out as many spikes as fit, and {target.name} one in a timestep; trained is "
             "the nearest, one spike"
         )
-    return f"{wanted.described} {'; '.join(parts)}" if parts else ""
+    return f"the network {'; '.join(parts)}" if parts else ""
 
 
-def convention_on(target: Chip, stated: Convention, wanted: Meaning) -> Convention:
+def convention_on(target: Chip, wanted: Convention) -> Convention:
     """Return the convention of the chip's neurons that is nearest to what is wanted."""
     arithmetic = target.arithmetic
     nearest: Reset = "subtract" if wanted.reset.startswith("subtract") else "zero"
@@ -128,7 +128,7 @@ def convention_on(target: Chip, stated: Convention, wanted: Meaning) -> Conventi
         spikes = "many"
     floor: Floor = "zero" if getattr(arithmetic, "floor", None) == 0 else "none"
     # files of ours state decay factors by forward Euler
-    return replace(stated, reset=reset, spikes=spikes, floor=floor, integrator="euler", delay=0)
+    return replace(wanted, reset=reset, spikes=spikes, floor=floor, integrator="euler", delay=0)
 
 
 class ChipModule(nn.Module):
@@ -142,12 +142,9 @@ class ChipModule(nn.Module):
     surrogate_name, surrogate_width: of the derivative of a spike, as in trainers.neurons; by
         default that of each neuron, else atan
     detach_reset: let no gradient through the reset
-    records: keep `spikes` where no gradients are recorded, too
     spikes: name -> (T, B, *shape) of each layer in the last forward pass with gradients; membranes
         of layers that do not spike
     """
-
-    records = False
 
     def __init__(
         self,
@@ -161,37 +158,45 @@ class ChipModule(nn.Module):
         detach_reset: bool = False,
     ) -> None:
         super().__init__()
-        self.detach_reset = detach_reset
         self.network, self.target, self.codec, self.limits = network, target, codec, limits
-        self.convention = convention
+        self.convention, self.detach_reset = convention, detach_reset
         self.spikes: dict[str, Tensor] = {}
-        self._is_chosen = surrogate_name is not None or surrogate_width is not None
-        self._surrogate = surrogate(surrogate_name or "atan", surrogate_width)
+        is_chosen = surrogate_name is not None or surrogate_width is not None
+        self._default = surrogate(surrogate_name or "atan", surrogate_width)
+        self._chosen = self._default if is_chosen else None
         # made when they are first needed, as a network of a checkpoint has no numbers before
         self._compiler: Recompiler | None = None
         self._compiled: tuple[bytes, Program] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what copies have: all but the program, which each compiles for itself."""
+        return {**vars(self), "spikes": {}, "_compiler": None, "_compiled": None}
 
     def forward(self, spikes: Tensor) -> Tensor:
         """Return the output (T, B, *puts) of the chip for spikes (T, B, *takes).
 
         Where gradients are recorded, those of the output lead to parameters and spikes.
         """
-        spikes = self._given(spikes)
-        differentiable = torch.is_grad_enabled()
-        if differentiable:
-            for node in self.network.nodes.values():
-                if isinstance(node, Weights):
-                    node.settle()
-        program, puts = self.program(), self.network.puts
-        traced = differentiable or self.records
-        machine = Machine(program, None, "none", trace=traced, backend="auto")
-        output = machine.infer(self._raster(spikes))
-        found = time_first(output, spikes, 1.0).reshape(*spikes.shape[:2], *puts)
-        if not traced:
-            return found
-        run = self._by_timesteps if self._timing.loops else self._by_layers
-        through = run(spikes, _Records(program, machine.recordings))
-        return _exactly(found, through) if differentiable else found
+        if not torch.is_grad_enabled():
+            return self._run(spikes, trace=False)[0]
+        for node in self.network.nodes.values():
+            if isinstance(node, Weights):
+                node.settle()
+        output, machine = self._run(spikes, trace=True)
+        rows = self._propagate(spikes.to(output.dtype), machine.recordings)
+        self.spikes = {name: rows[name] for name, _ in self._neurons}
+        return _exactly(output, rows[TorchNetwork.OUTPUT])
+
+    def layers(self, spikes: Tensor) -> dict[str, Tensor]:
+        """Return the spikes (T, B, *shape) of each spiking layer on the chip, without gradients."""
+        output, machine = self._run(spikes, trace=True)
+        shapes = {name: node.takes for name, node in self._neurons}
+        return {
+            layer.name: time_first(machine.recordings[layer.name].spikes, output.dtype).unflatten(
+                2, shapes[layer.name]
+            )
+            for layer in self.program().spiking
+        }
 
     def artifact(self) -> Artifact:
         """Return the present numbers as an artifact, which every command runs."""
@@ -205,7 +210,8 @@ class ChipModule(nn.Module):
     def program(self) -> Program:
         """Return the chip's program of the present numbers."""
         # fused optimisers do not count versions of tensors, so their numbers are compared
-        held = self._numbers()
+        tensors = (*self.network.parameters(), *self.network.buffers())
+        held = b"".join(each.detach().numpy().tobytes() for each in tensors)
         if self._compiled is None or held != self._compiled[0]:
             self._check_finite()
             if self._compiler is None:
@@ -223,19 +229,15 @@ class ChipModule(nn.Module):
         return self._compiled[1]
 
     def _check_finite(self) -> None:
+        cause = "as the network was given. Correct it"
+        if self._compiled is not None:
+            cause = "after an update: the loss was not finite, or the learning rate is too large"
         for node, module in self.network.nodes.items():
             for name, tensor in module.named_parameters():
-                if not bool(tensor.isfinite().all()):
-                    cause = (
-                        "as the network was given. Correct it"
-                        if self._compiled is None
-                        else "after an update: the loss was not finite, or the learning rate is "
-                        "too large"
-                    )
-                    raise ConfigError(
-                        f"parameter {name.rpartition('.')[2]} of {node!r} holds "
-                        f"{_first_infinite(tensor):g} {cause}"
-                    )
+                wrong = tensor.detach()[~tensor.detach().isfinite()]
+                if wrong.numel():
+                    number = f"{name.rpartition('.')[2]} of {node!r}"
+                    raise ConfigError(f"parameter {number} holds {wrong[0]:g} {cause}")
 
     @cached_property
     def _timing(self) -> Timing:
@@ -243,148 +245,109 @@ class ChipModule(nn.Module):
         clocked = self.program().convention
         return timing(self.network.artifact(clocked).graph, clocked)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> "ChipModule":
-        """Return a module with a copy of the network, which compiles its own program."""
-        copied = (deepcopy(self.network, memo), self.target, self.convention, self.codec)
-        copy = ChipModule(*copied, self.limits, detach_reset=self.detach_reset)
-        copy._is_chosen, copy._surrogate = self._is_chosen, self._surrogate
-        return copy
+    @cached_property
+    def _neurons(self) -> list[tuple[str, Neurons]]:
+        return [(n, node) for n, node in self.network.nodes.items() if isinstance(node, Neurons)]
 
-    def _numbers(self) -> bytes:
-        tensors = (*self.network.parameters(), *self.network.buffers())
-        return b"".join(each.detach().numpy().tobytes() for each in tensors)
+    def _run(self, spikes: Tensor, trace: bool) -> tuple[Tensor, Machine]:
+        """Return the output (T, B, *puts) of the chip, and the machine, which has its activity."""
+        counts = self._raster(spikes)
+        machine = Machine(self.program(), None, "none", trace=trace, backend="auto")
+        kinds = [p.dtype for p in self.network.parameters() if p.is_floating_point()]
+        output = time_first(machine.infer(counts), kinds[0] if kinds else torch.float32)
+        return output.reshape(*spikes.shape[:2], *self.network.puts), machine
 
-    def _given(self, spikes: Tensor) -> Tensor:
-        """Return the spikes in the type of the network's numbers."""
+    def _raster(self, spikes: Tensor) -> NDArray[np.uint8]:
+        """Return the spikes as the chip takes them, (B, T, M)."""
         if not isinstance(spikes, Tensor):
             raise ObservationError(
                 f"the spikes are a {type(spikes).__name__}, and the module takes tensors, as of "
                 "torch.from_numpy(spikes)"
             )
-        kinds = [p.dtype for p in self.network.parameters() if p.is_floating_point()]
-        return spikes.to(kinds[0] if kinds else torch.float32)
-
-    def _raster(self, spikes: Tensor) -> NDArray[np.uint8]:
-        """Return the spikes as the chip takes them, (B, T, M)."""
-        takes = self.network.takes
-        if tuple(spikes.shape[2:]) != takes or spikes.ndim < 2:
+        takes, shape = self.network.takes, tuple(spikes.shape)
+        if shape[2:] != takes or not all(shape[:2]) or len(shape) < 2:
             wanted = ", ".join(["T", "B", *map(str, takes)])
             raise ObservationError(
-                f"the spikes have shape {tuple(spikes.shape)}; this network takes ({wanted}), "
-                "timesteps first."
+                f"the spikes have shape {shape}; this network takes ({wanted}), timesteps first, "
+                "at least one timestep and one sample."
             )
-        if not all(spikes.shape[:2]):
-            raise ObservationError(
-                f"the spikes have shape {tuple(spikes.shape)}: give at least one timestep and one "
-                "sample"
-            )
-        values = spikes.detach().flatten(2).numpy()
-        counts = np.empty((values.shape[1], len(values), values.shape[2]), np.uint8)
-        if not _count(values, counts):
+        values = spikes.detach().flatten(2).swapaxes(0, 1)
+        counts = values.to(torch.uint8)
+        if not torch.equal(counts.to(values.dtype), values):
             raise ObservationError(
                 f"the input holds numbers from {values.min():g} to {values.max():g}; "
                 "a chip takes whole spikes. Encode it first, as rates or latencies."
             )
-        return counts
+        return counts.contiguous().numpy()
 
-    @property
-    def _sources(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
-        for source, target in sorted(self.network.edges):
-            found.setdefault(target, []).append(source)
-        return found
+    def _propagate(self, spikes: Tensor, recordings: Mapping[str, Recording]) -> dict[str, Tensor]:
+        """Return what each node puts out (T, B, *puts), with gradients.
 
-    def _by_layers(self, spikes: Tensor, records: "_Records") -> Tensor:
-        """Return the output (T, B, *puts), node after node over all timesteps."""
-        nodes, before, late = self.network.nodes, self._sources, self._timing.late
-        values = {TorchNetwork.INPUT: spikes}
-        for name in self._timing.names:
-            if name == TorchNetwork.INPUT:
-                continue
-            arriving = _sum(delayed(values[s], int((s, name) in late)) for s in before[name])
-            node = nodes.get(name)
-            if node is None or isinstance(node, Delay):
-                values[name] = arriving if node is None else node(arriving)
-            elif isinstance(node, Neurons):
-                rows = self._layer(name, node, arriving.flatten(2), records)
-                values[name] = rows.reshape(*spikes.shape[:2], *node.takes)
-            else:
-                values[name] = node(arriving.flatten(0, 1)).unflatten(0, spikes.shape[:2])
-        self.spikes = {n: values[n] for n, node in nodes.items() if isinstance(node, Neurons)}
-        return values[TorchNetwork.OUTPUT]
-
-    def _by_timesteps(self, spikes: Tensor, records: "_Records") -> Tensor:
-        """Return the output (T, B, *puts), timestep after timestep, as loops need it."""
-        nodes, before, late = self.network.nodes, self._sources, self._timing.late
-        steps = {
-            name: _Step(
-                equation,
-                records.layer(name, spikes, equation),
-                self._derivative(node),
-                self.detach_reset,
-            )
-            for name, node in nodes.items()
-            if isinstance(node, Neurons)
-            for equation in [node.equation(spikes.dtype)]
-        }
-        rows: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
-        waiting: dict[str, list[Tensor]] = {name: [] for name in self._timing.names}
-        for t, arrived in enumerate(spikes.unbind()):
-            for name in self._timing.names:
-                if name == TorchNetwork.INPUT:
-                    rows[name].append(arrived)
-                    continue
+        Node after node, over all timesteps at once; over one after another where there are loops.
+        """
+        nodes, order = self.network.nodes, self._timing
+        sources = {name: self.network.sources(name) for name in order.names}
+        layers = {name: self._layer(name, node, spikes, recordings) for name, node in self._neurons}
+        rows: dict[str, list[Tensor]] = {name: [] for name in order.names}
+        arrived: dict[str, list[Tensor]] = {name: [] for name in order.delays}
+        for k, window in enumerate(spikes.split(1 if order.loops else len(spikes))):
+            for name in order.names:
                 found = [
-                    rows[s][t - 1] if (s, name) in late else rows[s][t]
-                    for s in before[name]
-                    if t or (s, name) not in late
+                    self._late(rows[s], s, window, k) if (s, name) in order.late else rows[s][k]
+                    for s in sources[name]
                 ]
+                arriving = reduce(add, found) if found else window
                 node = nodes.get(name)
-                takes = self.network.puts if node is None else node.takes
-                arriving = _sum(found) if found else arrived.new_zeros(len(arrived), *takes)
-                if isinstance(node, Delay):
-                    waiting[name].append(arriving)
-                    rows[name].append(node.arriving(waiting[name]))
-                elif isinstance(node, Neurons):
-                    arriving = steps[name].advance(arriving.flatten(1), t)
-                    rows[name].append(arriving.reshape(-1, *node.takes))
+                if isinstance(node, Neurons):
+                    puts = layers[name].advance(arriving.flatten(2)).unflatten(2, node.takes)
+                elif isinstance(node, Delay):
+                    arrived[name].append(arriving)
+                    puts = _delayed(arrived[name], order.delays[name])
+                elif node is None:  # an end of the graph
+                    puts = arriving
                 else:
-                    rows[name].append(arriving if node is None else node(arriving))
-        self.spikes = {name: torch.stack(rows[name]) for name in steps}
-        return torch.stack(rows[TorchNetwork.OUTPUT])
+                    puts = node(arriving.flatten(0, 1)).unflatten(0, arriving.shape[:2])
+                rows[name].append(puts)
+        return {name: each[0] if len(each) == 1 else torch.cat(each) for name, each in rows.items()}
 
-    def _layer(self, name: str, node: Neurons, arriving: Tensor, records: "_Records") -> Tensor:
-        """Return spikes or membranes (T, B, N) of a layer for what arrives (T, B, N)."""
-        equation = node.equation(arriving.dtype)
-        seen = records.layer(name, arriving, equation)
-        drive = arriving * equation.gain
-        if seen is None or equation.threshold is None:
-            membranes = _integrate(drive, equation)
-            return membranes if seen is None else _exactly(seen.behind, membranes)
-        found: Tensor = _ChipLayer.apply(  # type: ignore[no-untyped-call]
-            drive,
-            equation.current_decay,
-            equation.membrane_decay,
-            equation.threshold,
-            equation.leak,
-            seen.with_membranes(drive.detach(), equation),
-            self._derivative(node),
-            self.detach_reset,
-        )
-        return found
+    def _late(self, rows: Sequence[Tensor], source: str, window: Tensor, k: int) -> Tensor:
+        """Return what a node puts out in window k, a timestep late."""
+        if k:
+            first = rows[k - 1][-1:]
+        else:
+            node = self.network.nodes.get(source)
+            puts = self.network.takes if node is None else node.puts
+            first = window.new_zeros(1, window.shape[1], *puts)
+        return first if len(window) == 1 else torch.cat([first, rows[k][:-1]])
 
-    def _derivative(self, node: Neurons) -> Surrogate:
-        own = None if self._is_chosen else node.derivative
-        return self._surrogate if own is None else own
+    def _layer(
+        self, name: str, node: Neurons, like: Tensor, recordings: Mapping[str, Recording]
+    ) -> "_Layer":
+        equation, recording = node.equation(like.dtype), recordings.get(name)
+        seen = None if recording is None else _activity(self.program(), name, recording, equation)
+        derivative = self._chosen or node.derivative or self._default
+        return _Layer(equation, seen, derivative, self.detach_reset)
+
+
+def _delayed(windows: list[Tensor], steps: NDArray[np.int64]) -> Tensor:
+    """Return the last window (T, B, *N) of what arrived, `steps` (*N) timesteps late."""
+    rows, length = torch.cat(windows), len(windows[-1])
+    rows = rows[-int(steps.max()) - length :]
+    found = torch.zeros_like(rows)
+    for step in np.unique(steps).tolist():
+        shifted = torch.cat([torch.zeros_like(rows[:step]), rows[: max(len(rows) - step, 0)]])
+        found = torch.where(torch.from_numpy(steps == step), shifted, found)
+    return found[-length:]
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Activity:
     """Activity of a layer's neurons on the chip, (T, B, N) in float units.
 
+    current: equal to the membrane where the equation has no current
     before, behind: membranes before and after a reset; NaN before where the chip cannot tell
     threshold: (N,) as the chip has it
-    subtracts: True where a spike subtracts the threshold, False where it sets the membrane to 0
+    kind: what the layer puts out, or how its spikes reset
     several: True where a neuron may spike several times in a timestep
     tells: False where `before` holds NaN
     """
@@ -394,183 +357,162 @@ class _Seen:
     behind: Tensor
     spikes: Tensor
     threshold: Tensor
-    subtracts: bool
-    several: bool
-    tells: bool
+    kind: int
+    several: bool = False
+    tells: bool = True
 
-    def with_membranes(self, drive: Tensor, equation: Equation) -> "_Seen":
-        """Return a copy with membranes before a reset; where unknown, by the equation."""
-        if self.tells:
-            return self
-        before = self.before.numpy().copy()
-        arriving = drive if equation.current_decay is None else self.current
-        leak = torch.zeros_like(equation.membrane_decay) if equation.leak is None else equation.leak
-        constants = torch.stack([equation.membrane_decay, leak]).detach()
-        _fill_unknown(before, self.behind.numpy(), arriving.contiguous().numpy(), constants.numpy())
-        return replace(self, before=torch.from_numpy(before), tells=True)
+    def window(self, rows: slice) -> "_Activity":
+        """Return the activity in some timesteps."""
+        cut = (each[rows] for each in (self.current, self.before, self.behind, self.spikes))
+        return _Activity(*cut, self.threshold, self.kind, self.several, self.tells)
 
 
-class _Records:
-    """The recordings of a program's layers as tensors."""
-
-    def __init__(self, program: Program, recordings: Mapping[str, Recording]) -> None:
-        self._program, self._recordings = program, recordings
-
-    def layer(self, name: str, like: Tensor, equation: Equation) -> _Seen | None:
-        """Return what a layer did, in the type of `like`; None where the host integrates it."""
-        if (recorded := self._recordings.get(name)) is None:
-            return None
-        program, layer = self._program, self._program.layer(name)
-        arithmetic, convention = program.chip.arithmetic, program.convention
-        before = arithmetic.before_reset(layer, convention, recorded)
-        last = name == program.output
-        most = getattr(arithmetic, "output_spikes_max", arithmetic.spikes_max)
-        behind = time_first(recorded.membrane, like, layer.scale)
-        return _Seen(
-            # which the equation has no use for where it has no current
-            behind
-            if equation.current_decay is None
-            else time_first(recorded.current, like, layer.scale),
-            behind if before is recorded.membrane else time_first(before, like, layer.scale),
-            behind,
-            time_first(recorded.spikes, like, 1.0),
-            torch.from_numpy(np.asarray(layer.threshold * layer.scale, np.float64)).to(like.dtype),
-            convention.reset == "subtract",
-            (most if last else arithmetic.spikes_max) > 1,
-            before.dtype.kind != "f" or not np.isnan(before).any(),
-        )
+def _activity(program: Program, name: str, recorded: Recording, equation: Equation) -> _Activity:
+    """Return what a layer did on the chip, in the type of the equation."""
+    arithmetic, convention = program.chip.arithmetic, program.convention
+    layer, dtype = program.layer(name), equation.membrane_decay.dtype
+    before = arithmetic.before_reset(layer, convention, recorded)
+    most = arithmetic.spikes_max
+    if name == program.output:
+        most = getattr(arithmetic, "output_spikes_max", most)
+    behind = time_first(recorded.membrane, dtype, layer.scale)
+    resets = _SUBTRACT if convention.reset == "subtract" else _ZERO
+    return _Activity(
+        behind
+        if equation.current_decay is None
+        else time_first(recorded.current, dtype, layer.scale),
+        behind if before is recorded.membrane else time_first(before, dtype, layer.scale),
+        behind,
+        time_first(recorded.spikes, dtype),
+        torch.from_numpy(np.asarray(layer.threshold * layer.scale, np.float64)).to(dtype),
+        _MEMBRANES if equation.threshold is None else resets,
+        most > 1,
+        before.dtype.kind != "f" or not np.isnan(before).any(),
+    )
 
 
-class _ChipLayer(torch.autograd.Function):
-    """The spikes (T, B, N) of a layer on the chip; the gradient at what was recorded there."""
+class _Layer:
+    """Neurons that go through windows of timesteps, with the activity that the chip recorded.
 
-    @staticmethod
-    def forward(
-        ctx: Any,  # noqa: ANN401
-        drive: Tensor,
-        current_decay: Tensor | None,
-        membrane_decay: Tensor,
-        threshold: Tensor,
-        leak: Tensor | None,
-        seen: _Seen,
-        derivative: Surrogate,
-        detach_reset: bool,
-    ) -> Tensor:
-        ctx.constants = current_decay, membrane_decay, threshold, seen, derivative
-        ctx.detach_reset = detach_reset
-        ctx.has_leak = leak is not None
-        # another tensor than ctx holds: a cycle through the graph would never be freed
-        return seen.spikes.detach()
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
-        a, b, threshold, seen, derivative = ctx.constants
-        slope = _slope(seen, threshold, derivative)
-        through_reset = _passes(seen, ctx.detach_reset)
-        to_drive, to_numbers = _backpropagate(upstream, slope, seen, a, b, threshold, through_reset)
-        to_a, to_b, to_threshold, to_leak = to_numbers.unbind()
-        return (
-            to_drive,
-            None if a is None else to_a,
-            to_b,
-            to_threshold,
-            to_leak if ctx.has_leak else None,
-            None,
-            None,
-            None,
-        )
-
-
-class _Step:
-    """A layer that is advanced by one timestep after another, with torch's own gradients.
-
-    It is what `_ChipLayer` does for all timesteps at once, and what loops need.
+    seen: None of neurons that the host integrates, which do not spike
     """
 
     def __init__(
         self,
         equation: Equation,
-        seen: _Seen | None,
+        seen: _Activity | None,
         derivative: Surrogate,
-        detach_reset: bool = False,
+        detach_reset: bool,
     ) -> None:
         self._equation, self._seen, self._derivative = equation, seen, derivative
         self._detach_reset = detach_reset
-        self._current: Tensor | None = None
-        self._membrane: Tensor | None = None
+        self._at, self._states = 0, ()  # currents and membranes (B, N) so far
 
-    def advance(self, arriving: Tensor, t: int) -> Tensor:
-        """Return the spikes or membranes (B, N) of timestep t for what arrives (B, N)."""
-        equation, seen = self._equation, self._seen
-        drive = arriving * equation.gain
-        # I = a I + x ; V = b V + I + leak
-        if equation.current_decay is not None:
-            if self._current is not None:
-                drive = equation.current_decay * self._current + drive
-            self._current = drive if seen is None else _exactly(seen.current[t], drive)
-            drive = self._current
-        membrane = drive if equation.leak is None else drive + equation.leak
-        if self._membrane is not None:
-            membrane = membrane + equation.membrane_decay * self._membrane
-        if seen is None or equation.threshold is None:
-            self._membrane = membrane if seen is None else _exactly(seen.behind[t], membrane)
-            return self._membrane
-        unknown = seen.before[t].isnan()
-        membrane = _exactly(torch.where(unknown, membrane.detach(), seen.before[t]), membrane)
-        slope = _slope(
-            replace(seen, before=membrane.detach()), equation.threshold, self._derivative
-        )
-        spikes = _exactly(seen.spikes[t], (membrane - equation.threshold) * slope)
-        resetting = spikes if _passes(seen, self._detach_reset) else spikes.detach()
-        if seen.subtracts:
-            behind = membrane - equation.threshold * resetting
+    def advance(self, arriving: Tensor) -> Tensor:
+        """Return spikes or membranes (T, B, N) of the next timesteps for what arrives (T, B, N)."""
+        a, b, threshold, leak, gain = self._equation
+        drive = arriving * gain
+        rows = slice(self._at, self._at + len(arriving))
+        self._at = rows.stop
+        zeros = torch.zeros_like(drive[0])
+        current, membrane = self._states or (zeros, zeros)
+        none = torch.zeros_like(b)
+        constants = torch.stack([
+            none if a is None else a, b, none if threshold is None else threshold,
+            none if leak is None else leak,
+        ])  # fmt: skip
+        states = torch.stack([current, membrane])
+        arrays = [each.detach().contiguous().numpy() for each in (drive, states, constants)]
+        if self._seen is None:
+            seen = _integrated(*arrays)
         else:
-            behind = membrane - membrane * resetting.clamp(max=1)
-        self._membrane = _exactly(seen.behind[t], behind)
-        return spikes
+            seen = self._seen.window(rows)
+            if not seen.tells:
+                before = seen.before.numpy().copy()
+                arriving_ = arrays[0] if a is None else seen.current.numpy()
+                _fill_unknown(before, seen.behind.numpy(), arriving_, arrays[1], arrays[2])
+                seen = replace(seen, before=torch.from_numpy(before))
+        passes = not self._detach_reset and (seen.kind == _SUBTRACT or not seen.several)
+        found, *self._states = _Neurons.apply(  # type: ignore[no-untyped-call]
+            drive, states[0], states[1], constants, seen, self._derivative, passes
+        )
+        return cast("Tensor", found)
 
 
-def _passes(seen: _Seen, detach_reset: bool) -> bool:
-    """Return whether gradients go through the reset of a layer."""
-    return not detach_reset and (seen.subtracts or not seen.several)
+def _integrated(drive: Array, states: Array, constants: Array) -> _Activity:
+    """Return the activity of neurons that do not spike, by their equation."""
+    current, membrane = np.empty_like(drive), np.empty_like(drive)
+    before_i, before_v = states
+    for t, x in enumerate(drive):
+        # I = a I + x ; V = b V + I + leak
+        before_i = current[t] = constants[0] * before_i + x
+        before_v = membrane[t] = constants[1] * before_v + before_i + constants[3]
+    behind = torch.from_numpy(membrane)
+    return _Activity(
+        torch.from_numpy(current),
+        behind,
+        behind,
+        behind,
+        torch.from_numpy(constants[2]),
+        _MEMBRANES,
+    )
 
 
-def _slope(seen: _Seen, threshold: Tensor, derivative: Surrogate) -> Tensor:
-    """Return the derivative of spikes by membranes before the reset, of the shape of `before`."""
-    slope = derivative(seen.before - seen.threshold)
-    if seen.several:  # s = floor(V / threshold): on average one more for each threshold
-        slope = torch.where(seen.before > seen.threshold, 1 / threshold.detach(), slope)
-    return slope
+class _Neurons(torch.autograd.Function):
+    """What a layer did on the chip in a window of timesteps; the gradient at what was recorded.
 
+    Returns spikes or membranes (T, B, N), and the last currents and membranes (B, N).
+    """
 
-def _backpropagate(
-    upstream: Tensor,
-    slope: Tensor,
-    seen: _Seen,
-    a: Tensor | None,
-    b: Tensor,
-    threshold: Tensor,
-    through_reset: bool,
-) -> tuple[Tensor, Tensor]:
-    """Return gradients of the drive (T, B, N), and of a, b, threshold and leak (4, N)."""
-    rows = [
-        each.contiguous().numpy()
-        for each in (upstream, slope, seen.before, seen.behind, seen.current, seen.spikes)
-    ]
-    none = torch.zeros_like(b) if a is None else a
-    constants = torch.stack([none, b, threshold]).numpy()
-    to_drive = np.empty_like(rows[0])
-    to_numbers = np.zeros((4, len(b)), constants.dtype)
-    later = np.zeros((2, *rows[0].shape[1:]), constants.dtype)
-    arrays = (*rows, constants, later, to_drive, to_numbers)
-    _differentiate(seen.subtracts, through_reset, *arrays)
-    return torch.from_numpy(to_drive), torch.from_numpy(to_numbers)
+    @staticmethod
+    def forward(
+        ctx: Any,  # noqa: ANN401
+        drive: Tensor,
+        current: Tensor,
+        membrane: Tensor,
+        constants: Tensor,
+        seen: _Activity,
+        derivative: Surrogate,
+        through_reset: bool,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        ctx.held = current.detach(), membrane.detach(), constants.detach(), seen
+        ctx.derivative, ctx.through_reset = derivative, through_reset
+        found = seen.behind if seen.kind == _MEMBRANES else seen.spikes
+        # other tensors than ctx holds: a cycle through the graph would never be freed
+        return found.detach(), seen.current[-1].clone(), seen.behind[-1].clone()
+
+    @staticmethod
+    @once_differentiable
+    def backward(
+        ctx: Any,  # noqa: ANN401
+        upstream: Tensor,
+        to_current: Tensor,
+        to_membrane: Tensor,
+    ) -> tuple[Tensor | None, ...]:
+        current, membrane, constants, seen = ctx.held
+        slope = upstream  # of no use to membranes
+        if seen.kind != _MEMBRANES:
+            slope = ctx.derivative(seen.before - seen.threshold)
+        if seen.kind != _MEMBRANES and seen.several:
+            # s = floor(V / threshold): on average one more for each threshold
+            slope = torch.where(seen.before > seen.threshold, 1 / constants[2], slope)
+        rows = [
+            each.contiguous().numpy()
+            for each in (upstream, slope, seen.before, seen.behind, seen.current, seen.spikes)
+        ]
+        states = torch.stack([current, membrane]).numpy()
+        later = torch.stack([to_current, to_membrane]).numpy()
+        to_drive, to_numbers = np.empty_like(rows[0]), np.zeros_like(constants.numpy())
+        arrays = (*rows, states, constants.numpy(), later, to_drive, to_numbers)
+        _differentiate(seen.kind, ctx.through_reset, *arrays)
+        before = torch.from_numpy(later)
+        gradients = torch.from_numpy(to_drive), *before, torch.from_numpy(to_numbers)
+        return (*gradients, None, None, None)
 
 
 @kept_on_disk
 def _differentiate(
-    subtracts: bool,
+    kind: int,
     through_reset: bool,
     upstream: Array,
     slope: Array,
@@ -578,6 +520,7 @@ def _differentiate(
     behind: Array,
     current: Array,
     spikes: Array,
+    states: Array,
     constants: Array,
     later: Array,
     to_drive: Array,
@@ -585,18 +528,22 @@ def _differentiate(
 ) -> None:
     """Write gradients of the drive (T, B, N), and add up those of the numbers (4, N).
 
-    constants: (3, N) a, b and threshold
-    later: (2, B, N) gradients of the current and of the membrane behind the reset, 0 at first
+    states: (2, B, N) current and membrane before the first timestep
+    constants: (4, N) a, b, threshold and leak
+    later: (2, B, N) gradients of the current and of the membrane behind the reset: of the last
+        timestep at first, of `states` in the end
     """
     zero = constants[0, 0] - constants[0, 0]
     for t in range(upstream.shape[0] - 1, -1, -1):
         for n_b in range(upstream.shape[1]):
             for n in range(upstream.shape[2]):
                 a, b, threshold = constants[0, n], constants[1, n], constants[2, n]
-                g, v, s = slope[t, n_b, n], before[t, n_b, n], spikes[t, n_b, n]
                 after = later[1, n_b, n]
                 reset = after if through_reset else zero
-                if subtracts:
+                g, v, s = slope[t, n_b, n], before[t, n_b, n], spikes[t, n_b, n]
+                if kind == _MEMBRANES:
+                    to_membrane = upstream[t, n_b, n] + after
+                elif kind == _SUBTRACT:
                     to_spike = upstream[t, n_b, n] - threshold * reset
                     to_membrane = g * to_spike + after
                     to_numbers[2, n] -= g * to_spike + s * after
@@ -604,43 +551,33 @@ def _differentiate(
                     to_spike = upstream[t, n_b, n] - v * reset
                     to_membrane = g * to_spike + (after if s == zero else zero)
                     to_numbers[2, n] -= g * to_spike
-                to_current = to_membrane + a * later[0, n_b, n]
+                to_current = to_membrane + later[0, n_b, n]
                 to_drive[t, n_b, n] = to_current
                 to_numbers[3, n] += to_membrane
                 if t:
                     to_numbers[0, n] += to_current * current[t - 1, n_b, n]
                     to_numbers[1, n] += to_membrane * behind[t - 1, n_b, n]
-                later[0, n_b, n] = to_current
+                else:
+                    to_numbers[0, n] += to_current * states[0, n_b, n]
+                    to_numbers[1, n] += to_membrane * states[1, n_b, n]
+                later[0, n_b, n] = a * to_current
                 later[1, n_b, n] = b * to_membrane
 
 
-def _integrate(drive: Tensor, equation: Equation) -> Tensor:
-    """Return membranes (T, B, N) of neurons that do not spike."""
-    current, membrane = torch.zeros_like(drive[0]), torch.zeros_like(drive[0])
-    found = []
-    for x in drive.unbind():
-        # I = a I + x ; V = b V + I + leak
-        current = x if equation.current_decay is None else equation.current_decay * current + x
-        membrane = equation.membrane_decay * membrane + current
-        membrane = membrane if equation.leak is None else membrane + equation.leak
-        found.append(membrane)
-    return torch.stack(found)
+@kept_on_disk
+def _fill_unknown(
+    before: Array, behind: Array, arriving: Array, states: Array, constants: Array
+) -> None:
+    """Write V = b V' + I + leak where a membrane (T, B, N) before its reset is NaN.
 
-
-def delayed(rows: Tensor, lag: int) -> Tensor:
-    """Return rows (T, ...) as they arrive `lag` timesteps later, zeros first."""
-    return torch.cat([torch.zeros_like(rows[:lag]), rows[: len(rows) - lag]]) if lag else rows
-
-
-def _first_infinite(tensor: Tensor) -> float:
-    return float(tensor.detach()[~tensor.detach().isfinite()][0])
-
-
-def _sum(parts: Iterable[Tensor]) -> Tensor:
-    first, *others = parts
-    for each in others:
-        first = first + each
-    return first
+    states, constants: as of `_differentiate`
+    """
+    for t in range(before.shape[0]):
+        for b in range(before.shape[1]):
+            for n in range(before.shape[2]):
+                if np.isnan(before[t, b, n]):
+                    last = behind[t - 1, b, n] if t else states[1, b, n]
+                    before[t, b, n] = arriving[t, b, n] + constants[3, n] + constants[1, n] * last
 
 
 def _exactly(value: Tensor, through: Tensor) -> Tensor:
@@ -649,12 +586,12 @@ def _exactly(value: Tensor, through: Tensor) -> Tensor:
     return value + (through - through.detach())
 
 
-def time_first(values: NDArray[Any], like: Tensor, scale: float | Array) -> Tensor:
+def time_first(values: NDArray[Any], dtype: torch.dtype, scale: float | Array = 1.0) -> Tensor:
     """Return (B, T, N), or the sum of K currents (B, T, K, N), times (N,) as (T, B, N)."""
     summed = values
     if values.ndim == 4:
         summed = values[:, :, 0] if values.shape[2] == 1 else values.sum(axis=2)
-    found = torch.empty(summed.shape[1], len(summed), summed.shape[2], dtype=like.dtype)
+    found = torch.empty(summed.shape[1], len(summed), summed.shape[2], dtype=dtype)
     each = np.empty(summed.shape[2])
     each[:] = scale
     _scale(summed, each, found.numpy())
@@ -668,32 +605,3 @@ def _scale(values: Array, scale: Array, found: Array) -> None:
         for t in range(values.shape[1]):
             for n in range(values.shape[2]):
                 found[t, b, n] = values[b, t, n] * scale[n]
-
-
-@kept_on_disk
-def _fill_unknown(before: Array, behind: Array, arriving: Array, constants: Array) -> None:
-    """Write V = b V' + I + leak where a membrane (T, B, N) before its reset is NaN.
-
-    constants: (2, N) b and leak
-    """
-    for t in range(before.shape[0]):
-        for b in range(before.shape[1]):
-            for n in range(before.shape[2]):
-                if np.isnan(before[t, b, n]):
-                    v = arriving[t, b, n] + constants[1, n]
-                    if t:
-                        v += constants[0, n] * behind[t - 1, b, n]
-                    before[t, b, n] = v
-
-
-@kept_on_disk
-def _count(values: Array, counts: NDArray[np.uint8]) -> bool:
-    """Write whole numbers (T, B, M) as counts (B, T, M); False if there are others."""
-    others = 0
-    for t in range(values.shape[0]):
-        for b in range(values.shape[1]):
-            for m in range(values.shape[2]):
-                held = np.uint8(min(max(values[t, b, m], 0), 255))
-                others += held != values[t, b, m]
-                counts[b, t, m] = held
-    return others == 0

@@ -6,11 +6,9 @@ from torch import nn
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_network import Fixed, Map, Neurons, Weights, flatten
+from spikedeploy.trainers.torch_network import LAYERS, Fixed, Node, Weights, flatten
 from spikedeploy.trainers.torch_neurons import is_neurons, neurons_of
 from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons
-
-_WEIGHTS = (nn.Linear, nn.Conv1d, nn.Conv2d)
 
 
 def leaves(root: nn.Module) -> list[tuple[str, nn.Module]]:
@@ -26,7 +24,7 @@ def leaves(root: nn.Module) -> list[tuple[str, nn.Module]]:
     return found
 
 
-def node_of(name: str, module: nn.Module, takes: Shape) -> Map | Neurons:
+def node_of(name: str, module: nn.Module, takes: Shape) -> Node:
     """Return the node of a leaf module; ConfigError where it has no place on a chip."""
     if (lifted := _lifted(module)) is not None:
         node = node_of(name, lifted, takes)
@@ -35,13 +33,17 @@ def node_of(name: str, module: nn.Module, takes: Shape) -> Map | Neurons:
         return node
     if (neurons := neurons_of(name, module, takes)) is not None:
         return neurons
-    if isinstance(module, _WEIGHTS):
+    if isinstance(module, tuple(LAYERS.values())):
         axes = module.weight.ndim - 1
         if len(takes) != axes:
             raise ConfigError(
                 f"{name}: {type(module).__name__} receives {takes} in a timestep of a sample; on a "
                 f"chip it takes {axes} {'axis' if axes == 1 else 'axes'}. Flatten in front of it, "
                 "or give another input_shape."
+            )
+        if getattr(module, "padding_mode", "zeros") != "zeros":
+            raise ConfigError(
+                f"{name}: padding_mode {module.padding_mode!r}; chips pad with zeros."
             )
         return Weights(module, takes)
     if isinstance(module, nn.Flatten):

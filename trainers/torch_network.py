@@ -1,18 +1,18 @@
 """Networks of NIR nodes whose numbers are torch parameters.
 
-A `TorchNetwork` is a graph of two kinds of nodes: maps without a memory, which torch computes
-(`Map`), and neurons (`Neurons`), which a chip computes. `artifact` writes the present numbers as
-NIR; `network_of` makes a network of an artifact. What a torch module becomes is in `from_torch`.
-`detached` makes a network whose numbers are its own, and `spec` what checkpoints say of its graph.
+A `TorchNetwork` is a graph of maps without a memory (`Weights`, `Fixed`), which torch computes,
+delays, and neurons, which a chip computes. `TorchNetwork.artifact` writes the present numbers as
+NIR; `network_of` reads them from an artifact. `from_torch` makes a network of a torch module.
 
 Neurons are the difference equation of `runtime.graph.neurons`, with gains that stay as they are:
 
     I[t] = a I[t-1] + gain x[t]        V[t] = b V[t-1] + I[t] + leak
 """
 
+import json
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, TypeAlias
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import nir
 import numpy as np
@@ -21,55 +21,57 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.graph.neurons import NEURONS, DiscreteNeuron
+from spikedeploy.runtime.graph.neurons import NEURONS
 from spikedeploy.runtime.graph.shapes import Shape, shape_of, window_of
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.config import require_known
-from spikedeploy.trainers.fitting import Fitting, signs_by_majority, typed_values
 from spikedeploy.trainers.neurons import Surrogate
+
+if TYPE_CHECKING:
+    from spikedeploy.trainers.fitting import Fitting
 
 Edge: TypeAlias = tuple[str, str]
 Array: TypeAlias = NDArray[np.float64]
+LAYERS = {"Linear": nn.Linear, "Conv1d": nn.Conv1d, "Conv2d": nn.Conv2d}  # that have weights
 
 # of a neuron that never forgets beside ones that do, in a node with a time constant for each:
 # 1 - b is this, far below what any chip's decay factor resolves
 _SLOWEST = 1e-12
-_SAME = 1e-6  # of the sum of weights, by which they may differ after they were fitted
+_FIXED = ("Flatten", "AvgPool2d", "SumPool2d", "Scale")
 
 
-def to_array(tensor: Tensor) -> NDArray[np.float64]:
+def to_array(tensor: Tensor) -> Array:
     """Return a tensor in float64."""
-    array: NDArray[np.float64] = tensor.detach().cpu().numpy().astype(np.float64)
+    array: Array = tensor.detach().cpu().numpy().astype(np.float64)
     return array
 
 
-class Map(nn.Module):
-    """A node without a memory: (R, *takes) to (R, *puts), R rows of batch and time.
+def _tensor(values: NDArray[Any]) -> Tensor:
+    return torch.from_numpy(np.array(values, np.float32))
 
-    takes, puts: shapes without the axis of rows
-    """
+
+class Node(nn.Module):
+    """A node of a network, from (*takes) to (*puts) in a timestep of a sample."""
 
     takes: Shape
     puts: Shape
 
-    def node(self) -> nir.NIRNode:
-        """Return the NIR node of the present numbers."""
+    def node(self, dt: float) -> nir.NIRNode:
+        """Return the NIR node of the present numbers, for timesteps of dt seconds."""
         raise NotImplementedError
 
-    def detached(self) -> "Map":
+    def detached(self) -> "Node":
         """Return the node with numbers of its own, equal to the present ones."""
         return self
 
     def spec(self) -> dict[str, Any]:
-        """Return what makes an equal node with numbers to be loaded, for JSON."""
+        """Return what makes an equal detached node, with numbers to be loaded; for JSON."""
         raise NotImplementedError
 
 
-class Weights(Map):
+class Weights(Node):
     """A matrix or convolution of a torch layer, with the normalisation behind it folded in.
 
     layer: nn.Linear, nn.Conv1d or nn.Conv2d
@@ -77,16 +79,13 @@ class Weights(Map):
     fitting: what makes the weights fit the axons of a chip, or None
     """
 
-    def __init__(
-        self,
-        layer: nn.Linear | nn.Conv1d | nn.Conv2d,
-        takes: Shape,
-        norm: nn.BatchNorm1d | nn.BatchNorm2d | None = None,
-        fitting: Fitting | None = None,
-    ) -> None:
+    fitting: "Fitting | None"
+
+    def __init__(self, layer: Any, takes: Shape) -> None:  # noqa: ANN401
         super().__init__()
-        self.layer, self.norm, self.takes = layer, norm, takes
-        self.fitting = fitting
+        self.layer, self.takes = layer, takes
+        self.norm: Any = None
+        self.fitting = None
         with torch.no_grad():
             self.puts = tuple(self(layer.weight.new_zeros(1, *takes)).shape[1:])
 
@@ -105,8 +104,6 @@ class Weights(Map):
         if norm is None:
             return weight, bias
         # y = gamma (W x + b - mean) / sqrt(var + eps) + beta   (Ioffe and Szegedy 2015)
-        assert norm.running_mean is not None
-        assert norm.running_var is not None
         factor = torch.rsqrt(norm.running_var + norm.eps)
         factor = factor if norm.weight is None else factor * norm.weight
         offset = -norm.running_mean if bias is None else bias - norm.running_mean
@@ -114,96 +111,63 @@ class Weights(Map):
         return weight * factor.reshape(-1, *[1] * (weight.ndim - 1)), offset
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return (R, *puts)."""
+        """Return (R, *puts) of (R, *takes), R rows of batch and time."""
         weight, bias = self.numbers()
-        layer = self.layer
-        if isinstance(layer, nn.Linear):
+        if isinstance(self.layer, nn.Linear):
             return nn.functional.linear(x, weight, bias)
-        found: Tensor = layer._conv_forward(x, weight, bias)
+        found: Tensor = self.layer._conv_forward(x, weight, bias)
         return found
 
-    def node(self) -> nir.NIRNode:
+    def node(self, dt: float) -> nir.NIRNode:
         """Return Linear, Affine, Conv1d or Conv2d."""
         weight, bias = (None if each is None else to_array(each) for each in self.numbers())
         assert weight is not None
         layer = self.layer
         if isinstance(layer, nn.Linear):
             return nir.Linear(weight) if bias is None else nir.Affine(weight, bias)
-        kind = nir.Conv1d if isinstance(layer, nn.Conv1d) else nir.Conv2d
-        extents = self.takes[1:] if kind is nir.Conv2d else self.takes[1]
-        return kind(
-            input_shape=extents,
+        flat = isinstance(layer, nn.Conv1d)
+        stride, padding, dilation = (
+            each[0] if flat and isinstance(each, tuple) else each
+            for each in (layer.stride, layer.padding, layer.dilation)
+        )
+        return (nir.Conv1d if flat else nir.Conv2d)(
+            input_shape=self.takes[1] if flat else self.takes[1:],
             weight=weight,
-            stride=layer.stride if kind is nir.Conv2d else layer.stride[0],
-            padding=layer.padding
-            if isinstance(layer.padding, str)
-            else (layer.padding if kind is nir.Conv2d else layer.padding[0]),
-            dilation=layer.dilation if kind is nir.Conv2d else layer.dilation[0],
+            stride=stride,
+            padding=padding,
+            dilation=dilation,
             groups=layer.groups,
             bias=np.zeros(len(weight)) if bias is None else bias,
         )
 
     def detached(self) -> "Weights":
-        """Return the same weights in a layer of their own, without a normalisation."""
+        """Return these weights in a layer of their own, without a normalisation."""
         weight, bias = self._folded()
-        layer = _layer(type(self.layer).__name__, **_settings(self.layer, bias is not None))
+        layer = _layer(**self._layer_spec(bias is not None))
         for own, number in ((layer.weight, weight), (layer.bias, bias)):
             if own is not None and number is not None:
                 own.data = number.detach().clone()
                 own.requires_grad_(number.requires_grad)
-        return Weights(layer, self.takes, fitting=self.fitting)
+        return Weights(layer, self.takes)
+
+    def _layer_spec(self, bias: bool) -> dict[str, Any]:
+        kind = next(name for name, each in LAYERS.items() if isinstance(self.layer, each))
+        names = [name for name in self.layer.__constants__ if name != "output_padding"]
+        return {"kind": kind, "bias": bias} | {name: getattr(self.layer, name) for name in names}
 
     def spec(self) -> dict[str, Any]:
-        """Return kind, settings, shape and what is trained."""
-        layer = self.layer
-        return {
-            "kind": type(layer).__name__,
-            "takes": list(self.takes),
-            "settings": _settings(layer, layer.bias is not None),
-            "trained": [name for name, p in layer.named_parameters() if p.requires_grad],
-            "fitting": None if self.fitting is None else self.fitting.spec(),
-        }
-
-    @classmethod
-    def from_spec(
-        cls,
-        kind: str,
-        takes: Sequence[int],
-        settings: Mapping[str, Any],
-        trained: Collection[str],
-        fitting: Mapping[str, Any] | None,
-    ) -> "Weights":
-        """Return weights of this shape, with numbers to be loaded."""
-        layer = _layer(kind, **settings)
-        for name, parameter in layer.named_parameters():
-            parameter.requires_grad_(name in trained)
-        fits = None if fitting is None else Fitting.from_spec(**fitting)
-        return cls(layer, tuple(takes), fitting=fits)
-
-
-_LAYERS: dict[str, Any] = {"Linear": nn.Linear, "Conv1d": nn.Conv1d, "Conv2d": nn.Conv2d}
+        """Return the arguments of the torch layer, and which of its numbers are trained."""
+        trained = [name for name, p in self.layer.named_parameters() if p.requires_grad]
+        layer = self._layer_spec(self.layer.bias is not None)
+        return {"kind": "Weights", "takes": self.takes, "layer": layer, "trained": trained}
 
 
 def _layer(kind: str, **settings: Any) -> Any:  # noqa: ANN401
-    return _LAYERS[kind](**settings)
+    return LAYERS[kind](**settings)
 
 
-def _settings(layer: nn.Module, bias: bool) -> dict[str, Any]:
-    """Return the arguments that make an equal layer, for JSON."""
-    names = ["in_features", "out_features"]
-    if not isinstance(layer, nn.Linear):
-        names = [
-            "in_channels", "out_channels", "kernel_size", "stride", "padding", "dilation", "groups",
-        ]  # fmt: skip
-    found = {name: getattr(layer, name) for name in names}
-    return {
-        **{name: list(n) if isinstance(n, tuple) else n for name, n in found.items()},
-        "bias": bias,
-    }
-
-
-class Fixed(Map):
-    """A node without parameters of torch: a pool, Flatten, Scale.
+class Fixed(Node):
+    """A node without parameters: a pool, Flatten, Scale.
 
     made: the NIR node
     """
@@ -216,31 +180,20 @@ class Fixed(Map):
             self.puts = tuple(self(torch.zeros(1, *takes)).shape[1:])
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return (R, *puts)."""
+        """Return (R, *puts) of (R, *takes), R rows of batch and time."""
         return self._function(x)
 
-    def node(self) -> nir.NIRNode:
+    def node(self, dt: float) -> nir.NIRNode:
         """Return the node."""
         return self.made
 
     def spec(self) -> dict[str, Any]:
-        """Return kind, shape and fields of the node."""
-        held = {each.name for each in fields(self.made)} - {"input_type", "output_type", "metadata"}
-        found = {name: np.asarray(getattr(self.made, name)).tolist() for name in sorted(held)}
-        return {"kind": type(self.made).__name__, "takes": list(self.takes), "fields": found}
-
-    @classmethod
-    def from_spec(cls, kind: str, takes: Sequence[int], fields: Mapping[str, Any]) -> "Fixed":
-        """Return the node of these fields."""
-        if kind == "Flatten":
-            made = nir.Flatten({"input": np.array(takes)}, **fields)
-        else:
-            arrays = {name: np.asarray(value) for name, value in fields.items()}
-            made = getattr(nir, require_known(kind, _FIXED, "kind of node"))(**arrays)
-        return cls(made, tuple(takes))
-
-
-_FIXED = ("Flatten", "AvgPool2d", "SumPool2d", "Scale")
+        """Return the kind and the fields of the node."""
+        names = {each.name for each in fields(self.made)} - {
+            "input_type", "output_type", "metadata",
+        }  # fmt: skip
+        held = {name: np.asarray(getattr(self.made, name)).tolist() for name in sorted(names)}
+        return {"kind": type(self.made).__name__, "takes": self.takes, "fields": held}
 
 
 def flatten(takes: Shape) -> Fixed:
@@ -263,7 +216,7 @@ def _function_of(node: nir.NIRNode) -> Callable[[Tensor], Tensor]:
     return lambda x: nn.functional.avg_pool2d(x, window.kernel, window.stride, padding) * factor
 
 
-class Delay(nn.Module):
+class Delay(Node):
     """Spikes that arrive some timesteps later.
 
     steps: (*takes) [timesteps]
@@ -271,38 +224,20 @@ class Delay(nn.Module):
 
     def __init__(self, steps: NDArray[np.int64]) -> None:
         super().__init__()
-        self.steps, self.takes = steps, steps.shape
-        self.puts = self.takes
+        self.steps = steps
+        self.takes = self.puts = steps.shape
 
-    def detached(self) -> "Delay":
-        """Return the delay, which has no numbers that are trained."""
-        return self
+    def node(self, dt: float) -> nir.NIRNode:
+        """Return the Delay."""
+        return nir.Delay(self.steps * dt)
 
     def spec(self) -> dict[str, Any]:
-        """Return kind, shape and timesteps."""
-        return {"kind": "Delay", "takes": list(self.takes), "steps": self.steps.tolist()}
-
-    @classmethod
-    def from_spec(cls, takes: Sequence[int], steps: Any) -> "Delay":  # noqa: ANN401
-        """Return the delay of these timesteps."""
-        return cls(np.array(steps, np.int64).reshape(tuple(takes)))
-
-    def forward(self, rows: Tensor) -> Tensor:
-        """Return (T, B, *takes) of all timesteps, late."""
-        return torch.stack([self.arriving(rows[: t + 1].unbind()) for t in range(len(rows))])
-
-    def arriving(self, rows: Sequence[Tensor]) -> Tensor:
-        """Return what arrives (B, *takes) in the last timestep of the rows so far."""
-        found = torch.zeros_like(rows[-1])
-        for step in np.unique(self.steps).tolist():
-            if step < len(rows):
-                found = torch.where(torch.from_numpy(self.steps == step), rows[-1 - step], found)
-        return found
+        """Return the timesteps."""
+        return {"kind": "Delay", "steps": self.steps.tolist()}
 
 
-@dataclass(frozen=True, eq=False)
-class Equation:
-    """The difference equation of a layer in torch, each (N,) along one axis.
+class Equation(NamedTuple):
+    """The numbers of the difference equation of neurons.
 
     current_decay: a, or None where the input itself is the current
     membrane_decay: b
@@ -318,10 +253,9 @@ class Equation:
     gain: Tensor
 
 
-class Neurons(nn.Module):
+class Neurons(Node):
     """Neurons of a shape, whose numbers are parameters of theirs or of a module of the user.
 
-    takes, puts: (*shape) of the layer
     derivative: derivative of a spike, a function of the membrane minus the threshold; None if it
         has none
     """
@@ -332,17 +266,16 @@ class Neurons(nn.Module):
         super().__init__()
         self.takes = self.puts = shape
 
-    def numbers(self) -> tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, Tensor]:
-        """Return the fields of Equation, tensors that broadcast to the shape of the layer."""
+    def numbers(self) -> Equation:
+        """Return the present numbers, tensors that broadcast to the shape of the layer."""
         raise NotImplementedError
 
     def equation(self, dtype: torch.dtype) -> Equation:
-        """Return the present numbers, with their gradients."""
-        found = (
+        """Return the present numbers, with their gradients, each (N,)."""
+        return Equation(*(
             None if n is None else n.to(dtype).expand(self.takes).reshape(-1)
             for n in self.numbers()
-        )
-        return Equation(*found)  # type: ignore[arg-type]
+        ))  # type: ignore[arg-type]  # fmt: skip
 
     def node(self, dt: float) -> nir.NIRNode:
         """Return IF, LIF, CubaLIF, I, LI or CubaLI of the present numbers."""
@@ -369,14 +302,9 @@ class Neurons(nn.Module):
 
     def detached(self) -> "FreeNeurons":
         """Return neurons with numbers of their own, of which those are trained that are here."""
-        found = zip(_NUMBERS, self.numbers(), strict=True)
-        given = {name: number for name, number in found if number is not None}
-        trained = [name for name, number in given.items() if number.requires_grad]
-        numbers = {name: number.detach().clone() for name, number in given.items()}
-        return FreeNeurons(self.takes, numbers, trained)
-
-
-_NUMBERS = ("current_decay", "membrane_decay", "threshold", "leak", "gain")  # as in Equation
+        held = {name: n for name, n in self.numbers()._asdict().items() if n is not None}
+        trained = [name for name, number in held.items() if number.requires_grad]
+        return FreeNeurons(self.takes, {name: n.detach() for name, n in held.items()}, trained)
 
 
 class FreeNeurons(Neurons):
@@ -386,17 +314,11 @@ class FreeNeurons(Neurons):
     trained: names of those that are parameters; the gain is none
     """
 
-    current_decay: Tensor | None
-    membrane_decay: Tensor
-    threshold: Tensor | None
-    leak: Tensor | None
-    gain: Tensor
-
     def __init__(
         self, shape: Shape, numbers: Mapping[str, Tensor], trained: Collection[str]
     ) -> None:
         super().__init__(shape)
-        for name in _NUMBERS:
+        for name in Equation._fields:
             value = numbers.get(name)
             own = None if value is None else value.clone()  # layers of a checkpoint share none
             if own is not None and name in trained and name != "gain":
@@ -404,38 +326,26 @@ class FreeNeurons(Neurons):
             else:
                 self.register_buffer(name, own)
 
-    @classmethod
-    def from_file(cls, made: DiscreteNeuron) -> "FreeNeurons":
-        """Return neurons of a file, all of whose numbers are trained."""
-        leak = made.leak if made.leak.any() else None
-        found = {name: getattr(made, name) for name in _NUMBERS} | {"leak": leak}
-        numbers = {name: _tensor(value) for name, value in found.items() if value is not None}
-        return cls(made.gain.shape, numbers, _NUMBERS)
-
-    def numbers(self) -> tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, Tensor]:
+    def numbers(self) -> Equation:
         """Return the tensors, decay factors from 0 to 1."""
-        current = self.current_decay
-        bounded = None if current is None else current.clamp(0, 1)
-        return bounded, self.membrane_decay.clamp(0, 1), self.threshold, self.leak, self.gain
+        found = Equation(*(getattr(self, name) for name in Equation._fields))
+        current = found.current_decay
+        return found._replace(
+            current_decay=None if current is None else current.clamp(0, 1),
+            membrane_decay=found.membrane_decay.clamp(0, 1),
+        )
 
     def spec(self) -> dict[str, Any]:
         """Return the shapes of all numbers, and which are trained."""
-        held = {name: getattr(self, name) for name in _NUMBERS}
-        shapes = {name: list(value.shape) for name, value in held.items() if value is not None}
+        shapes = {
+            name: list(n.shape) for name, n in self.numbers()._asdict().items() if n is not None
+        }
         trained = [name for name, _ in self.named_parameters()]
-        return {"kind": "neurons", "takes": list(self.takes), "shapes": shapes, "trained": trained}
-
-    @classmethod
-    def from_spec(
-        cls, takes: Sequence[int], shapes: Mapping[str, Sequence[int]], trained: Collection[str]
-    ) -> "FreeNeurons":
-        """Return neurons of these shapes, with numbers to be loaded."""
-        ones = {name: torch.ones(tuple(shape)) for name, shape in shapes.items()}
-        return cls(tuple(takes), ones, trained)
+        return {"kind": "Neurons", "takes": self.takes, "shapes": shapes, "trained": trained}
 
 
 class TorchNetwork(nn.Module):
-    """A graph of maps and neurons between one input and one output.
+    """A graph between one input and one output.
 
     nodes: by name; names of the file have dots in them, and keys of modules none, so they are
         numbered inside
@@ -445,11 +355,7 @@ class TorchNetwork(nn.Module):
     INPUT, OUTPUT = "input", "output"
 
     def __init__(
-        self,
-        nodes: Mapping[str, Map | Neurons | Delay],
-        edges: Sequence[Edge],
-        takes: Shape,
-        puts: Shape,
+        self, nodes: Mapping[str, Node], edges: Sequence[Edge], takes: Shape, puts: Shape
     ) -> None:
         super().__init__()
         self.names = tuple(nodes)
@@ -457,15 +363,13 @@ class TorchNetwork(nn.Module):
         self.edges, self.takes, self.puts = tuple(edges), takes, puts
 
     @property
-    def nodes(self) -> dict[str, Map | Neurons | Delay]:
+    def nodes(self) -> dict[str, Node]:
         """Return the nodes by name."""
         return dict(zip(self.names, self.listed, strict=True))  # type: ignore[arg-type]
 
-    @property
-    def spiking(self) -> int:
-        """Number of layers that spike."""
-        layers = (node for node in self.nodes.values() if isinstance(node, Neurons))
-        return sum(node.numbers()[2] is not None for node in layers)
+    def sources(self, target: str) -> list[str]:
+        """Return the names of the nodes that lead to a node."""
+        return sorted(source for source, each in self.edges if each == target)
 
     def detached(self) -> "TorchNetwork":
         """Return the network with numbers of its own, which no module of the user shares."""
@@ -474,12 +378,10 @@ class TorchNetwork(nn.Module):
 
     def spec(self) -> dict[str, Any]:
         """Return the graph and its shapes without numbers, for JSON; of a detached network."""
-        return {
-            "nodes": {name: node.spec() for name, node in self.nodes.items()},  # type: ignore[operator]
-            "edges": [list(edge) for edge in self.edges],
-            "takes": list(self.takes),
-            "puts": list(self.puts),
-        }
+        nodes = {name: node.spec() for name, node in self.nodes.items()}
+        made = {"nodes": nodes, "edges": self.edges, "takes": self.takes, "puts": self.puts}
+        plain: dict[str, Any] = json.loads(json.dumps(made))  # lists, as a checkpoint has them
+        return plain
 
     @classmethod
     def from_spec(
@@ -490,71 +392,8 @@ class TorchNetwork(nn.Module):
         puts: Sequence[int],
     ) -> "TorchNetwork":
         """Return the network of a spec, with numbers to be loaded."""
-        made = {name: _from_spec(spec) for name, spec in nodes.items()}
-        pairs = [(source, target) for source, target in edges]
-        network = cls(made, pairs, tuple(takes), tuple(puts))
-        for first, *others in network.sharing_targets():
-            for each in others:
-                if each.fitting is not None and first.fitting is not None:
-                    each.fitting.values = first.fitting.values  # one crossbar
-        return network
-
-    def fit(self, target: Chip) -> str:
-        """Make weights fit the axons of a chip; return what that changes, empty where nothing.
-
-        Sources get the sign of most of their weights; axons are of types by turns. Where layers of
-        several shapes read a source, or a convolution would need types, nothing is done, and the
-        design rule of the chip says so.
-        """
-        limits, arithmetic, fitted = target.limits, target.arithmetic, list[Weights]()
-        for heard in self.sharing_sources() if limits and limits.axon_signs else ():
-            weights = [each.layer.weight.detach() for each in heard]
-            shapes = {(w.ndim, w.shape[1]) for w in weights}
-            # of groups, a weight does not say its source
-            if len(shapes) == 1 and all(getattr(w.layer, "groups", 1) == 1 for w in heard):
-                signs = signs_by_majority(weights)
-                for each in heard:
-                    each.fitting = Fitting(signs=signs.clone())
-                fitted += heard
-        types = 0 if arithmetic.own_weights else int(getattr(arithmetic, "axon_types", 0))
-        for together in self.sharing_targets() if types else ():
-            if all(each.layer.weight.ndim == 2 for each in together):
-                weights = [each.layer.weight.detach() for each in together]
-                values = nn.Parameter(typed_values(weights, types))
-                for each in together:
-                    each.fitting = Fitting(values=values)
-                fitted += together
-        return _changed_by(fitted, target.name, types)
-
-    def sharing_sources(self) -> list[list[Weights]]:
-        """Return the weights in groups that read the same neurons, or the input."""
-        groups: list[tuple[set[str], list[Weights]]] = []
-        for name, node in self.nodes.items():
-            if isinstance(node, Weights):
-                heard, together = self._origins(name), [node]
-                for group in [each for each in groups if each[0] & heard]:
-                    groups.remove(group)
-                    heard, together = heard | group[0], [*group[1], *together]
-                groups.append((heard, together))
-        return [together for _, together in groups]
-
-    def sharing_targets(self) -> list[list[Weights]]:
-        """Return the weights in groups that lead to the same neurons."""
-        nodes, groups = self.nodes, dict[str, list[Weights]]()
-        for source, target in self.edges:
-            node = nodes.get(source)
-            if isinstance(node, Weights) and isinstance(nodes.get(target), Neurons):
-                groups.setdefault(target, []).append(node)
-        return list(groups.values())
-
-    def _origins(self, name: str) -> set[str]:
-        """Return the neurons, or the input, whose spikes reach a node without other weights."""
-        found: set[str] = set()
-        for source in (source for source, target in self.edges if target == name):
-            node = self.nodes.get(source)
-            is_between = isinstance(node, Fixed | Delay)
-            found |= self._origins(source) if is_between else {source}
-        return found
+        made = {name: _from_spec(**spec) for name, spec in nodes.items()}
+        return cls(made, [(a, b) for a, b in edges], tuple(takes), tuple(puts))
 
     def artifact(
         self,
@@ -571,41 +410,34 @@ class TorchNetwork(nn.Module):
             self.INPUT: nir.Input({"input": np.array(self.takes)}),
             self.OUTPUT: nir.Output({"output": np.array(self.puts)}),
         }
-        for name, node in self.nodes.items():
-            if isinstance(node, Neurons):
-                nodes[name] = node.node(dt)
-            elif isinstance(node, Delay):
-                nodes[name] = nir.Delay(node.steps * dt)
-            else:
-                nodes[name] = node.node()
+        nodes |= {name: node.node(dt) for name, node in self.nodes.items()}
         return nir.NIRGraph(nodes, list(self.edges), type_check=False)
 
 
-@torch.no_grad()
-def _changed_by(fitted: Sequence[Weights], chip_name: str, types: int) -> str:
-    """Return a sentence on what the axons of a chip make of weights; empty if they stay."""
-    moved, whole = 0.0, 0.0
-    for each in fitted:
-        weight, deployed = each.layer.weight, each.numbers()[0]
-        moved += float((deployed - weight).abs().sum()) if each.norm is None else 0.0
-        whole += float(weight.abs().sum())
-    if moved <= _SAME * whole:
-        return ""
-    axons = f"{types} weights for each neuron" if types else "one sign for each source"
-    return (
-        f"{chip_name} has {axons}: {100 * moved / whole:.0f} % of the weights, by magnitude, "
-        "change for it, and the network computes something else until it is trained"
-    )
-
-
-def _from_spec(spec: Mapping[str, Any]) -> Map | Neurons | Delay:
-    settings = dict(spec)
-    kind = settings.pop("kind")
-    if kind == "neurons":
-        return FreeNeurons.from_spec(**settings)
-    if kind == "Delay":
-        return Delay.from_spec(**settings)
-    return (Weights if kind in _LAYERS else Fixed).from_spec(kind, **settings)
+def _from_spec(
+    kind: str,
+    takes: Sequence[int] = (),
+    trained: Collection[str] = (),
+    layer: Mapping[str, Any] | None = None,
+    shapes: Mapping[str, Sequence[int]] | None = None,
+    fields: Mapping[str, Any] | None = None,
+    steps: Any = None,  # noqa: ANN401
+) -> Node:
+    shape = tuple(takes)
+    if layer is not None:
+        made = _layer(**layer)
+        for name, parameter in made.named_parameters():
+            parameter.requires_grad_(name in trained)
+        return Weights(made, shape)
+    if shapes is not None:
+        ones = {name: torch.ones(tuple(each)) for name, each in shapes.items()}
+        return FreeNeurons(shape, ones, trained)
+    if fields is None:
+        return Delay(np.array(steps, np.int64))
+    arrays = {name: np.asarray(value) for name, value in fields.items()}
+    if kind == "Flatten":
+        return Fixed(nir.Flatten({"input": np.array(takes)}, **fields), shape)
+    return Fixed(getattr(nir, kind)(**arrays), shape)
 
 
 def network_of(artifact: Artifact) -> TorchNetwork:
@@ -622,7 +454,7 @@ def network_of(artifact: Artifact) -> TorchNetwork:
     (source,), (end,) = graph.inputs, graph.outputs
     renamed = {source: TorchNetwork.INPUT, end: TorchNetwork.OUTPUT}
     nodes = {
-        name: _module_of(name, node, artifact)
+        name: _read(name, node, artifact)
         for name, node in graph.nodes.items()
         if name not in renamed
     }
@@ -630,20 +462,20 @@ def network_of(artifact: Artifact) -> TorchNetwork:
     return TorchNetwork(nodes, edges, shape_of(graph.inputs[source]), shape_of(graph.outputs[end]))
 
 
-def _module_of(name: str, node: nir.NIRNode, artifact: Artifact) -> Map | Neurons | Delay:
+def _read(name: str, node: nir.NIRNode, artifact: Artifact) -> Node:
+    """Return a node of a file, all of whose numbers are trained."""
     takes = tuple(int(n) for n in node.input_type["input"])
-    if name in artifact.sigma_delta:
-        raise ArtifactError(
-            f"node {name!r}: sigma-delta neurons are trained by `distill`, not from a file."
-        )
-    if isinstance(node, NEURONS):
+    if isinstance(node, NEURONS) and name not in artifact.sigma_delta:
         made = artifact.neurons[name]
         if made.v_reset.any():
             raise ArtifactError(
                 f"node {name!r}: v_reset goes to {made.v_reset.max():g}; on a chip a spike resets "
                 "the membrane to 0. Shift it."
             )
-        return FreeNeurons.from_file(made)
+        held = {each: getattr(made, each) for each in Equation._fields}
+        held["leak"] = made.leak if made.leak.any() else None
+        numbers = {each: _tensor(value) for each, value in held.items() if value is not None}
+        return FreeNeurons(made.gain.shape, numbers, Equation._fields)
     if isinstance(node, nir.Linear | nir.Affine) and node.weight.ndim == 2:
         outputs, inputs = node.weight.shape
         linear = nn.Linear(inputs, outputs, bias=isinstance(node, nir.Affine))
@@ -655,25 +487,27 @@ def _module_of(name: str, node: nir.NIRNode, artifact: Artifact) -> Map | Neuron
     if isinstance(node, nir.Delay):
         steps = np.rint(node.delay.astype(np.float64) / artifact.convention.dt)
         return Delay(steps.astype(np.int64))
+    kind = "a sigma-delta neuron" if name in artifact.sigma_delta else type(node).__name__
     raise ArtifactError(
-        f"node {name!r}: {type(node).__name__} cannot be trained here; possible are Linear, "
+        f"node {name!r}: {kind} cannot be trained here; possible are Linear, "
         "Affine, Conv1d, Conv2d, SumPool2d, AvgPool2d, Flatten, Scale, Delay and neurons."
     )
 
 
-def _convolution(name: str, node: nir.NIRNode) -> nn.Conv1d | nn.Conv2d:
+def _convolution(name: str, node: nir.NIRNode) -> nn.Module:
     window = window_of(name, node)
     outputs, inputs = node.weight.shape[0], node.weight.shape[1] * int(node.groups)
     symmetric = all(before == after for before, after in window.padding)
-    settings: dict[str, Any] = {
-        "stride": window.stride,
-        "padding": tuple(before for before, _ in window.padding) if symmetric else "same",
-        "dilation": window.dilation,
-        "groups": int(node.groups),
-    }
-    kind: type[nn.Conv1d] | type[nn.Conv2d]
-    kind = nn.Conv1d if isinstance(node, nir.Conv1d) else nn.Conv2d
-    return kind(inputs, outputs, window.kernel, **settings)  # type: ignore[arg-type]
+    return _layer(  # type: ignore[no-any-return]
+        type(node).__name__,
+        in_channels=inputs,
+        out_channels=outputs,
+        kernel_size=window.kernel,
+        stride=window.stride,
+        padding=tuple(before for before, _ in window.padding) if symmetric else "same",
+        dilation=window.dilation,
+        groups=int(node.groups),
+    )
 
 
 def _filled(layer: Any, node: nir.NIRNode) -> Any:  # noqa: ANN401
@@ -682,7 +516,3 @@ def _filled(layer: Any, node: nir.NIRNode) -> Any:  # noqa: ANN401
         if layer.bias is not None:
             layer.bias.copy_(_tensor(node.bias))
     return layer
-
-
-def _tensor(values: NDArray[Any]) -> Tensor:
-    return torch.from_numpy(np.array(values, np.float32))

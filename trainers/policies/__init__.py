@@ -50,6 +50,8 @@ _POLICIES: dict[str, Callable[..., Policy]] = {
     "network": NetworkPolicy,
 }
 
+_SETTINGS: dict[str, Any] = {"delta-snn": DeltaSnnConfig, "network": NetworkConfig}
+
 
 def build(spec: Mapping[str, Any]) -> Policy:
     """Return an untrained policy from the result of `Policy.spec`."""
@@ -60,8 +62,8 @@ def build(spec: Mapping[str, Any]) -> Policy:
             f"a policy of kind {spec['kind']!r} has no {', '.join(unknown)}: another version of "
             "spikedeploy saved it. Use that one, or train it anew"
         )
-    if policy is DeltaSnnPolicy:
-        settings["settings"] = DeltaSnnConfig(**settings["settings"])
+    if "settings" in settings:
+        settings["settings"] = _SETTINGS[spec["kind"]](**settings["settings"])
     return policy(**settings)
 
 

@@ -11,7 +11,7 @@ imported, but Norse where a module is of it.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 from torch import nn
 
@@ -23,33 +23,46 @@ from spikedeploy.trainers.torch_neurons.sinabs import SinabsNeurons
 from spikedeploy.trainers.torch_neurons.snntorch import SnnTorchNeurons
 from spikedeploy.trainers.torch_neurons.spikingjelly import SpikingJellyNeurons
 
-_Kind: TypeAlias = Callable[[Any, Shape], TorchNeurons]
-_NORSE = "LIFCell LIF LIFRecurrentCell LIFRecurrent LIFBoxCell IAFCell IAF LICell LI LIBoxCell"
-_LIBRARIES: dict[str, tuple[_Kind, tuple[str, ...]]] = {
-    "snntorch": (SnnTorchNeurons, ("Leaky", "RLeaky", "Synaptic", "RSynaptic", "Lapicque")),
-    "norse": (NorseNeurons, (*_NORSE.split(), "LILinearCell")),
-    "sinabs": (
-        SinabsNeurons,
-        ("IAF", "IAFSqueeze", "LIF", "LIFSqueeze", "ExpLeak", "ExpLeakSqueeze"),
-    ),
-    "spikingjelly": (SpikingJellyNeurons, ("IFNode", "LIFNode", "ParametricLIFNode")),
+
+class _Library(NamedTuple):
+    """A library: the adapter of its neurons, the known classes, and the bases of all neurons."""
+
+    adapter: Callable[[Any, Shape], TorchNeurons]
+    known: list[str]
+    bases: list[str]
+
+
+_NORSE = (
+    "LIFCell LIF LIFRecurrentCell LIFRecurrent LIFBoxCell IAFCell IAF LICell LI LIBoxCell "
+    "LILinearCell"
+)
+_LIBRARIES = {
+    name: _Library(adapter, known.split(), bases.split())
+    for name, adapter, known, bases in (
+        ("snntorch", SnnTorchNeurons, "Leaky RLeaky Synaptic RSynaptic Lapicque", "SpikingNeuron"),
+        ("norse", NorseNeurons, _NORSE, "SNNCell SNN SNNRecurrentCell SNNRecurrent"),
+        (
+            "sinabs",
+            SinabsNeurons,
+            "IAF IAFSqueeze LIF LIFSqueeze ExpLeak ExpLeakSqueeze",
+            "StatefulLayer",
+        ),
+        (
+            "spikingjelly",
+            SpikingJellyNeurons,
+            "IFNode LIFNode ParametricLIFNode",
+            "BaseNode SimpleBaseNode",
+        ),
+    )
 }
-# what all neurons of a library are
-_BASES = {
-    "snntorch": ("SpikingNeuron",),
-    "norse": ("SNNCell", "SNN", "SNNRecurrentCell", "SNNRecurrent"),
-    "sinabs": ("StatefulLayer",),
-    "spikingjelly": ("BaseNode", "SimpleBaseNode"),
-}
-KNOWN = "; ".join(f"{library}: {', '.join(kinds)}" for library, (_, kinds) in _LIBRARIES.items())
+KNOWN = "; ".join(f"{name}: {', '.join(each.known)}" for name, each in _LIBRARIES.items())
 
 
 def is_neurons(module: nn.Module) -> bool:
     """Return True for neurons of a library, also where they have no form on a chip."""
     return any(
-        kind.__name__ in (*_LIBRARIES[library][1], *_BASES[library])
-        for library, kind in _classes(module)
-        if library in _LIBRARIES
+        kind.__name__ in (*_LIBRARIES[name].known, *_LIBRARIES[name].bases)
+        for name, kind in _classes(module)
     )
 
 
@@ -63,33 +76,37 @@ def neurons_of(name: str, module: nn.Module, takes: Shape) -> TorchNeurons | Non
     """
     if not is_neurons(module):
         return None
-    changed: set[str] = set()
-    for library, kind in _classes(module):
-        make, kinds = _LIBRARIES.get(library, (None, ()))
-        if make is not None and kind.__name__ in kinds:
-            break
-        changed |= {each for each in vars(kind) if callable(vars(kind)[each])}
-    else:
-        library = next(library for library, _ in _classes(module) if library in _LIBRARIES)
+    classes = list(_classes(module))
+    known = [(lib, kind) for lib, kind in classes if kind.__name__ in _LIBRARIES[lib].known]
+    if not known:
+        library = classes[0][0]
         raise ConfigError(
             f"{name}: {library}'s {type(module).__name__} has no form on a chip. Of {library} "
-            f"these have: {', '.join(_LIBRARIES[library][1])}."
+            f"these have: {', '.join(_LIBRARIES[library].known)}."
         )
-    plain = {each for each in changed if each.startswith("__") or each == "extra_repr"}
-    ours = {each for each in changed - plain if hasattr(kind, each)}
-    if ours:
+    library, original = known[0]
+    order = type(module).__mro__
+    own = {
+        each
+        for kind in order[: order.index(original)]
+        for each, value in vars(kind).items()
+        if callable(value) and not each.startswith("__") and each != "extra_repr"
+    }
+    if changed := sorted(each for each in own if hasattr(original, each)):
         raise ConfigError(
-            f"{name}: {type(module).__name__} is a {kind.__name__} of {library} that has its own "
-            f"{', '.join(sorted(ours))}, and may compute something else. Take {kind.__name__} as "
-            "it is; trained through a chip, it resets as the chip does."
+            f"{name}: {type(module).__name__} is a {original.__name__} of {library} that has its "
+            f"own {', '.join(changed)}, and may compute something else. Take {original.__name__} "
+            "as it is; trained through a chip, it resets as the chip does."
         )
     try:
-        return make(module, takes)
+        return _LIBRARIES[library].adapter(module, takes)
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from None
 
 
 def _classes(module: nn.Module) -> Iterator[tuple[str, type]]:
-    """Return the classes that a module is of, with their libraries."""
+    """Return the classes of known libraries that a module is of, with the library."""
     for kind in type(module).__mro__:
-        yield kind.__module__.partition(".")[0], kind
+        library = kind.__module__.partition(".")[0]
+        if library in _LIBRARIES:
+            yield library, kind

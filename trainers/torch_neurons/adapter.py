@@ -1,42 +1,24 @@
 """Base of the adapters of a library's neurons: a difference equation, read from the module."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.runtime.convention import Floor, Reset, Spikes
+from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.neurons import Surrogate
-from spikedeploy.trainers.torch_network import Map, Neurons
-
-# of Neurons.numbers: current decay, membrane decay, threshold, leak, gain
-Numbers: TypeAlias = tuple[Tensor | None, Tensor, Tensor | None, Tensor | None, Tensor]
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """The behaviour of a library's neurons that decides the convention of a file.
-
-    reset: as in Convention; "none" of a layer that does not spike
-    spikes, floor: likewise
-    described: the neuron in its library's words
-    """
-
-    reset: Reset
-    spikes: Spikes
-    described: str
-    floor: Floor = "none"
+from spikedeploy.trainers.torch_network import Neurons, Weights
 
 
 class TorchNeurons(Neurons):
     """Neurons whose numbers are those of a module of the user.
 
     module: module of another library
-    meaning: what it does
+    convention: how its neurons spike and reset, "none" of those that do not spike; its source is
+        the neuron in its library's words
     has_spikes: False where the module puts out its membranes
     takes_time: True where its input has all timesteps, beside the batch
     """
@@ -45,33 +27,47 @@ class TorchNeurons(Neurons):
     has_spikes: bool = True
     takes_time: bool = False
 
-    def __init__(self, module: nn.Module, takes: Shape, meaning: Meaning) -> None:
+    def __init__(
+        self,
+        module: nn.Module,
+        takes: Shape,
+        described: str,
+        reset: Reset,
+        spikes: Spikes = "above",
+        floor: Floor = "none",
+    ) -> None:
         super().__init__(takes)
-        self.module, self.meaning = module, meaning
+        self.module = module
+        self.convention = Convention(
+            1e-3,
+            reset,
+            source=described,
+            spikes=spikes if reset != "none" else "above",
+            floor=floor,
+        )
         self._reads_membrane = False
 
-    def inputs(self) -> Map | None:
+    def inputs(self) -> Weights | None:
         """Return the weights of the module in front of its neurons, or None."""
         return None
 
-    def recurrent(self) -> Map | None:
+    def recurrent(self) -> Weights | None:
         """Return the connections of the layer onto itself, or None."""
         return None
 
     def read_membrane(self) -> None:
         """Take the layer for a readout, whose membranes are the output and which never spikes."""
-        if self.meaning.reset != "none":
-            raise ConfigError(
-                f"the output is the membranes of {self.meaning.described}, which spikes; chips put "
-                "out spikes, or membranes of neurons that do not spike. Return the spikes, or end "
-                "in neurons that do not spike: snnTorch's with reset_mechanism='none', Norse's "
-                "LICell, sinabs' ExpLeak."
+        if self.convention.reset != "none":
+            raise self.refused(
+                "the output is its membranes, and it spikes",
+                "Return the spikes, or end in neurons that do not spike: snnTorch's with "
+                "reset_mechanism='none', Norse's LICell, sinabs' ExpLeak.",
             )
         self._reads_membrane = True
 
     def refused(self, setting: str, instead: str) -> ConfigError:
         """Return the error of a setting that no chip has."""
-        return ConfigError(f"{self.meaning.described}: {setting}. {instead}")
+        return ConfigError(f"{self.convention.source}: {setting}. {instead}")
 
 
 def wide(numbers: Tensor | float) -> Tensor:

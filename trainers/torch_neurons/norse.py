@@ -8,15 +8,10 @@ from torch import Tensor, nn
 
 from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_network import Map, Weights
-from spikedeploy.trainers.torch_neurons.adapter import (
-    Meaning,
-    Numbers,
-    TorchNeurons,
-    derivative_of,
-    largest,
-    wide,
-)
+from spikedeploy.trainers.torch_network import Equation, Weights
+from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons, derivative_of, largest, wide
+
+_RESETS: dict[str, Reset] = {"reset_value": "zero", "reset_subtract": "subtract"}
 
 
 class NorseNeurons(TorchNeurons):
@@ -32,13 +27,12 @@ class NorseNeurons(TorchNeurons):
         self.has_spikes = hasattr(p, "v_th")
         self.takes_time = kind in ("LIF", "LI", "LIFRecurrent", "IAF")
         method = getattr(getattr(p, "reset_method", None), "__name__", "reset_value")
-        resets: dict[str, Reset] = {"reset_value": "zero", "reset_subtract": "subtract"}
-        reset = resets.get(method, "zero") if self.has_spikes else "none"
+        reset = _RESETS.get(method, "zero") if self.has_spikes else "none"
         own = takes if not hasattr(module, "input_weights") else (len(module.input_weights),)
-        super().__init__(module, own, Meaning(reset, "above", f"Norse's {kind}"))
+        super().__init__(module, own, f"Norse's {kind}", reset)
         self._takes_in = takes
-        if method not in resets:
-            raise self.refused(f"reset_method {method} is unknown", f"Take {' or '.join(resets)}.")
+        if method not in _RESETS:
+            raise self.refused(f"reset_method {method} is unknown", f"Take {' or '.join(_RESETS)}.")
         for name, value in p._asdict().items():  # so that what is learnt is seen to change
             if isinstance(value, nn.Parameter):
                 self.register_parameter(f"p_{name}", value)
@@ -49,25 +43,22 @@ class NorseNeurons(TorchNeurons):
             self.derivative = derivative_of(lambda x: threshold(x, module.p.method, module.p.alpha))
         self.numbers()
 
-    def numbers(self) -> Numbers:
-        """Return the fields of Equation."""
+    def numbers(self) -> Equation:
+        """Return the present numbers."""
         p = self.module.p
         rest = wide(p.v_leak if hasattr(p, "v_leak") else p.v_reset)
-        if not self.has_spikes or self.meaning.reset == "subtract":
-            if rest.any():
-                raise self.refused(
-                    f"v_leak goes to {largest(rest):g}, where its membranes start",
-                    "On a chip they start at 0: leave v_leak at 0.",
-                )
-        elif (rest != wide(p.v_reset)).any():
+        resets_to_rest = self.has_spikes and self.convention.reset == "zero"
+        wanted = wide(p.v_reset) if resets_to_rest else torch.zeros_like(rest)
+        if (rest != wanted).any():
             raise self.refused(
-                f"membranes start at v_leak, up to {largest(rest):g}, and are reset to v_reset, "
-                f"up to {largest(wide(p.v_reset)):g}",
-                "On a chip both are 0: give both one value, from which the threshold is counted.",
+                f"its membranes start at v_leak, up to {largest(rest):g}, and return to "
+                f"{'v_reset' if resets_to_rest else 'another value'}, up to {largest(wanted):g}",
+                "On a chip both are 0: give v_leak and v_reset one value, which is 0 where a spike "
+                "subtracts or none is sent.",
             )
         membrane, current = self._rate("tau_mem_inv"), self._rate("tau_syn_inv")
         unit = torch.ones((), dtype=torch.float64)
-        return (
+        return Equation(
             None if current is None else (1 - current).clamp(0, 1),
             unit if membrane is None else (1 - membrane).clamp(0, 1),
             wide(p.v_th) - rest if self.has_spikes else None,
@@ -88,19 +79,19 @@ class NorseNeurons(TorchNeurons):
             )
         return rate
 
-    def inputs(self) -> Map | None:
+    def inputs(self) -> Weights | None:
         """Return the input weights of LIFRecurrent and LILinear."""
-        weight = getattr(self.module, "input_weights", None)
-        return None if weight is None else Weights(linear(weight), self._takes_in)
+        return self._weights("input_weights", self._takes_in)
 
-    def recurrent(self) -> Map | None:
+    def recurrent(self) -> Weights | None:
         """Return the recurrent weights of LIFRecurrent."""
-        weight = getattr(self.module, "recurrent_weights", None)
-        return None if weight is None else Weights(linear(weight), self.takes)
+        return self._weights("recurrent_weights", self.takes)
 
-
-def linear(weight: Tensor) -> nn.Linear:
-    """Return a layer without a bias that shares its weight."""
-    layer = nn.Linear(weight.shape[1], weight.shape[0], bias=False, device="meta")
-    layer.weight = weight if isinstance(weight, nn.Parameter) else nn.Parameter(weight, False)
-    return layer
+    def _weights(self, name: str, takes: Shape) -> Weights | None:
+        """Return a layer without a bias that shares its weight with the module."""
+        weight = getattr(self.module, name, None)
+        if weight is None:
+            return None
+        layer = nn.Linear(weight.shape[1], weight.shape[0], bias=False, device="meta")
+        layer.weight = weight if isinstance(weight, nn.Parameter) else nn.Parameter(weight, False)
+        return Weights(layer, takes)

@@ -7,7 +7,20 @@ from torch import Tensor
 
 from spikedeploy.runtime.convention import Floor, Reset, Spikes
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_neurons.adapter import Meaning, Numbers, TorchNeurons, largest, wide
+from spikedeploy.trainers.torch_network import Equation
+from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons, largest, wide
+
+# of spike_fn with its max_num_spikes_per_bin, and reset_fn with its value
+_SPIKES: dict[tuple[str, object], Spikes] = {
+    ("MultiSpike", None): "many",
+    ("MaxSpike", None): "many",
+    ("SingleSpike", None): "reached",
+    ("MaxSpike", 1): "reached",
+}
+_RESETS: dict[tuple[str, object], Reset] = {
+    ("MembraneSubtract", None): "subtract",
+    ("MembraneReset", 0): "zero",
+}
 
 
 class SinabsNeurons(TorchNeurons):
@@ -22,53 +35,43 @@ class SinabsNeurons(TorchNeurons):
         kind = type(module).__name__
         self.has_spikes = module.spike_fn is not None
         self.takes_time = not kind.endswith("Squeeze")
-        meaning = Meaning("none", "many", f"sinabs' {kind}")
-        super().__init__(module, takes, meaning)
-        if self.has_spikes:
-            self.meaning = Meaning(self._reset(), self._spikes(), self._described(), self._floor())
-            self.derivative = self._slope
-        elif module.min_v_mem is not None:
-            raise self.refused("min_v_mem has no place on a chip", "Leave it out.")
-        self.numbers()
+        if not self.has_spikes:
+            super().__init__(module, takes, f"sinabs' {kind}", "none")
+            if module.min_v_mem is not None:
+                raise self.refused("min_v_mem has no place on a chip", "Leave it out.")
+            return
+        fires, resets = module.spike_fn, module.reset_fn
+        name = getattr(fires, "__name__", type(fires).__name__)
+        most = fires.max_num_spikes_per_bin if name == "MaxSpike" else None
+        to = getattr(resets, "reset_value", getattr(resets, "subtract_value", None))
+        spikes = _SPIKES.get((name, most))
+        reset = _RESETS.get((type(resets).__name__, to))
+        described = f"sinabs' {kind}(spike_fn={name}, reset_fn={type(resets).__name__})"
+        floor = self._floor(module)
+        super().__init__(
+            module, takes, described, reset or "zero", spikes or "above", floor or "none"
+        )
+        if spikes is None or reset is None:
+            raise self.refused(
+                f"spike_fn {fires} with reset_fn {resets} has no place on a chip",
+                "Take MultiSpike or SingleSpike, and MembraneSubtract() or MembraneReset().",
+            )
+        if floor is None:
+            raise self.refused(
+                f"min_v_mem goes to {largest(-wide(module.min_v_mem)):g} below 0",
+                "The lowest membrane of a chip is 0 or minus the threshold, or there is none.",
+            )
+        self.derivative = self._slope
 
-    def _described(self) -> str:
-        spikes = getattr(self.module.spike_fn, "__name__", repr(self.module.spike_fn))
-        reset = type(self.module.reset_fn).__name__
-        return f"{self.meaning.described}(spike_fn={spikes}, reset_fn={reset})"
-
-    def _reset(self) -> Reset:
-        method = self.module.reset_fn
-        kind = type(method).__name__
-        if kind == "MembraneSubtract" and method.subtract_value is None:
-            return "subtract"
-        if kind == "MembraneReset" and method.reset_value == 0:
-            return "zero"
-        instead = "Take MembraneSubtract() or MembraneReset()."
-        raise self.refused(f"reset_fn {method} has no place on a chip", instead)
-
-    def _spikes(self) -> Spikes:
-        method = self.module.spike_fn
-        most = getattr(method, "max_num_spikes_per_bin", 0)
-        name = getattr(method, "__name__", type(method).__name__)
-        if name == "MultiSpike" or (name == "MaxSpike" and most is None):
-            return "many"
-        if name == "SingleSpike" or (name == "MaxSpike" and most == 1):
-            return "reached"
-        instead = "Take MultiSpike or SingleSpike."
-        raise self.refused(f"spike_fn {method} has no place on a chip", instead)
-
-    def _floor(self) -> Floor:
-        floor = self.module.min_v_mem
+    @staticmethod
+    def _floor(module: Any) -> Floor | None:  # noqa: ANN401
+        floor = module.min_v_mem
         if floor is None:
             return "none"
         if not floor.any():
             return "zero"
-        if bool((wide(floor) == -wide(self.module.spike_threshold)).all()):
-            return "threshold"
-        raise self.refused(
-            f"min_v_mem goes to {largest(-wide(floor)):g} below 0",
-            "The lowest membrane of a chip is 0 or minus the threshold, or there is none.",
-        )
+        is_threshold = bool((wide(floor) == -wide(module.spike_threshold)).all())
+        return "threshold" if is_threshold else None
 
     def _slope(self, excess: Tensor) -> Tensor:
         threshold = self.module.spike_threshold.detach().to(excess.dtype)
@@ -77,8 +80,8 @@ class SinabsNeurons(TorchNeurons):
             found: Tensor = self.module.surrogate_grad_fn(excess + flat, flat)
         return found
 
-    def numbers(self) -> Numbers:
-        """Return the fields of Equation."""
+    def numbers(self) -> Equation:
+        """Return the present numbers."""
         module = self.module
         membrane, current = module.alpha_mem_calculated, module.alpha_syn_calculated
         gain = torch.ones((), dtype=torch.float64)
@@ -86,7 +89,7 @@ class SinabsNeurons(TorchNeurons):
             gain = wide(1 - membrane)
         if current is not None:
             gain = gain * wide(current)
-        return (
+        return Equation(
             None if current is None else wide(current).clamp(0, 1),
             wide(membrane).clamp(0, 1),
             wide(module.spike_threshold) if self.has_spikes else None,

@@ -4,15 +4,9 @@ from typing import Any
 
 import torch
 
-from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_neurons.adapter import (
-    Meaning,
-    Numbers,
-    TorchNeurons,
-    derivative_of,
-    wide,
-)
+from spikedeploy.trainers.torch_network import Equation
+from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons, derivative_of, wide
 
 
 class SpikingJellyNeurons(TorchNeurons):
@@ -25,9 +19,9 @@ class SpikingJellyNeurons(TorchNeurons):
 
     def __init__(self, module: Any, takes: Shape) -> None:  # noqa: ANN401
         self.takes_time = module.step_mode == "m"
-        reset: Reset = "subtract" if module.v_reset is None else "zero"
         described = f"SpikingJelly's {type(module).__name__}(v_reset={module.v_reset})"
-        super().__init__(module, takes, Meaning(reset, "reached", described))
+        reset = "subtract" if module.v_reset is None else "zero"
+        super().__init__(module, takes, described, reset, "reached")  # type: ignore[arg-type]
         if not getattr(module.surrogate_function, "spiking", True):
             raise self.refused(
                 "its surrogate function is in the mode that puts out no spikes",
@@ -35,8 +29,8 @@ class SpikingJellyNeurons(TorchNeurons):
             )
         self.derivative = derivative_of(module.surrogate_function)
 
-    def numbers(self) -> Numbers:
-        """Return the fields of Equation."""
+    def numbers(self) -> Equation:
+        """Return the present numbers."""
         module = self.module
         lost = torch.zeros((), dtype=torch.float64)
         if hasattr(module, "w"):
@@ -45,4 +39,4 @@ class SpikingJellyNeurons(TorchNeurons):
             lost = wide(1 / module.tau)
         gain = lost if getattr(module, "decay_input", False) else torch.ones_like(lost)
         threshold = wide(module.v_threshold) - wide(module.v_reset or 0.0)
-        return None, 1 - lost, threshold, None, gain
+        return Equation(None, 1 - lost, threshold, None, gain)

@@ -13,7 +13,7 @@ from spikedeploy.trainers import adapt as adapting  # noqa: E402
 from tests.paths import ROOT  # noqa: E402
 
 NET = ROOT / "examples" / "net.nir"
-NEAREST = "a neuron of the file resets by 'subtract', which loihi1 does not; trained is the nearest"
+NEAREST = "the network resets by 'subtract', which loihi1 does not; trained is the nearest"
 QUICK = ("--dt", "1e-3", "--epochs", "2", "--batch", "8")
 
 
