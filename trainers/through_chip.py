@@ -19,7 +19,7 @@ differentiated over all timesteps at once; in a network with loops over one afte
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import add
@@ -56,7 +56,6 @@ from spikedeploy.trainers.torch_network import (
 )
 
 Array = NDArray[np.floating[Any]]
-_MEMBRANES, _ZERO, _SUBTRACT = range(3)  # what a layer puts out, or how its spikes reset
 
 
 def on_chip(
@@ -183,7 +182,7 @@ class ChipModule(nn.Module):
             if isinstance(node, Weights):
                 node.settle()
         output, machine = self._run(spikes, trace=True)
-        rows = self._propagate(spikes.to(output.dtype), machine.recordings)
+        rows = self._propagate(spikes.to(output.dtype), machine)
         self.spikes = {name: rows[name] for name, _ in self._neurons}
         return _exactly(output, rows[TorchNetwork.OUTPUT])
 
@@ -191,12 +190,11 @@ class ChipModule(nn.Module):
         """Return the spikes (T, B, *shape) of each spiking layer on the chip, without gradients."""
         output, machine = self._run(spikes, trace=True)
         shapes = {name: node.takes for name, node in self._neurons}
-        return {
-            layer.name: time_first(machine.recordings[layer.name].spikes, output.dtype).unflatten(
-                2, shapes[layer.name]
-            )
-            for layer in self.program().spiking
+        found = {
+            layer.name: time_first(machine.recordings[layer.name].spikes, output.dtype)
+            for layer in machine.program.spiking
         }
+        return {name: rows.reshape(*rows.shape[:2], *shapes[name]) for name, rows in found.items()}
 
     def artifact(self) -> Artifact:
         """Return the present numbers as an artifact, which every command runs."""
@@ -249,12 +247,15 @@ class ChipModule(nn.Module):
     def _neurons(self) -> list[tuple[str, Neurons]]:
         return [(n, node) for n, node in self.network.nodes.items() if isinstance(node, Neurons)]
 
+    @property
+    def _dtype(self) -> torch.dtype:
+        return next((p.dtype for p in self.network.parameters()), torch.float32)
+
     def _run(self, spikes: Tensor, trace: bool) -> tuple[Tensor, Machine]:
         """Return the output (T, B, *puts) of the chip, and the machine, which has its activity."""
         counts = self._raster(spikes)
         machine = Machine(self.program(), None, "none", trace=trace, backend="auto")
-        kinds = [p.dtype for p in self.network.parameters() if p.is_floating_point()]
-        output = time_first(machine.infer(counts), kinds[0] if kinds else torch.float32)
+        output = time_first(machine.infer(counts), self._dtype)
         return output.reshape(*spikes.shape[:2], *self.network.puts), machine
 
     def _raster(self, spikes: Tensor) -> NDArray[np.uint8]:
@@ -271,26 +272,28 @@ class ChipModule(nn.Module):
                 f"the spikes have shape {shape}; this network takes ({wanted}), timesteps first, "
                 "at least one timestep and one sample."
             )
-        values = spikes.detach().flatten(2).swapaxes(0, 1)
-        counts = values.to(torch.uint8)
-        if not torch.equal(counts.to(values.dtype), values):
+        values = spikes.detach().to(self._dtype).flatten(2).numpy()
+        counts = np.empty((values.shape[1], len(values), values.shape[2]), np.uint8)
+        if not _count(values, counts):
             raise ObservationError(
                 f"the input holds numbers from {values.min():g} to {values.max():g}; "
                 "a chip takes whole spikes. Encode it first, as rates or latencies."
             )
-        return counts.contiguous().numpy()
+        return counts
 
-    def _propagate(self, spikes: Tensor, recordings: Mapping[str, Recording]) -> dict[str, Tensor]:
+    def _propagate(self, spikes: Tensor, machine: Machine) -> dict[str, Tensor]:
         """Return what each node puts out (T, B, *puts), with gradients.
 
         Node after node, over all timesteps at once; over one after another where there are loops.
         """
         nodes, order = self.network.nodes, self._timing
         sources = {name: self.network.sources(name) for name in order.names}
-        layers = {name: self._layer(name, node, spikes, recordings) for name, node in self._neurons}
+        layers = {
+            name: self._layer(name, node, spikes.dtype, machine) for name, node in self._neurons
+        }
         rows: dict[str, list[Tensor]] = {name: [] for name in order.names}
         arrived: dict[str, list[Tensor]] = {name: [] for name in order.delays}
-        for k, window in enumerate(spikes.split(1 if order.loops else len(spikes))):
+        for k, window in enumerate(torch.split(spikes, 1 if order.loops else len(spikes))):
             for name in order.names:
                 found = [
                     self._late(rows[s], s, window, k) if (s, name) in order.late else rows[s][k]
@@ -299,7 +302,7 @@ class ChipModule(nn.Module):
                 arriving = reduce(add, found) if found else window
                 node = nodes.get(name)
                 if isinstance(node, Neurons):
-                    puts = layers[name].advance(arriving.flatten(2)).unflatten(2, node.takes)
+                    puts = layers[name].advance(arriving.flatten(2)).reshape(arriving.shape)
                 elif isinstance(node, Delay):
                     arrived[name].append(arriving)
                     puts = _delayed(arrived[name], order.delays[name])
@@ -320,11 +323,10 @@ class ChipModule(nn.Module):
             first = window.new_zeros(1, window.shape[1], *puts)
         return first if len(window) == 1 else torch.cat([first, rows[k][:-1]])
 
-    def _layer(
-        self, name: str, node: Neurons, like: Tensor, recordings: Mapping[str, Recording]
-    ) -> "_Layer":
-        equation, recording = node.equation(like.dtype), recordings.get(name)
-        seen = None if recording is None else _activity(self.program(), name, recording, equation)
+    def _layer(self, name: str, node: Neurons, dtype: torch.dtype, machine: Machine) -> "_Layer":
+        equation, seen = node.equation(dtype), None
+        if (recording := machine.recordings.get(name)) is not None:
+            seen = _activity(machine.program, name, recording, equation)
         derivative = self._chosen or node.derivative or self._default
         return _Layer(equation, seen, derivative, self.detach_reset)
 
@@ -347,7 +349,8 @@ class _Activity:
     current: equal to the membrane where the equation has no current
     before, behind: membranes before and after a reset; NaN before where the chip cannot tell
     threshold: (N,) as the chip has it
-    kind: what the layer puts out, or how its spikes reset
+    spiking: False where the layer puts out its membranes
+    subtracts: True where a spike subtracts the threshold, False where it sets the membrane to 0
     several: True where a neuron may spike several times in a timestep
     tells: False where `before` holds NaN
     """
@@ -357,14 +360,17 @@ class _Activity:
     behind: Tensor
     spikes: Tensor
     threshold: Tensor
-    kind: int
+    spiking: bool = False
+    subtracts: bool = False
     several: bool = False
     tells: bool = True
 
     def window(self, rows: slice) -> "_Activity":
         """Return the activity in some timesteps."""
-        cut = (each[rows] for each in (self.current, self.before, self.behind, self.spikes))
-        return _Activity(*cut, self.threshold, self.kind, self.several, self.tells)
+        cut = {
+            name: getattr(self, name)[rows] for name in ("current", "before", "behind", "spikes")
+        }
+        return replace(self, **cut)
 
 
 def _activity(program: Program, name: str, recorded: Recording, equation: Equation) -> _Activity:
@@ -376,7 +382,6 @@ def _activity(program: Program, name: str, recorded: Recording, equation: Equati
     if name == program.output:
         most = getattr(arithmetic, "output_spikes_max", most)
     behind = time_first(recorded.membrane, dtype, layer.scale)
-    resets = _SUBTRACT if convention.reset == "subtract" else _ZERO
     return _Activity(
         behind
         if equation.current_decay is None
@@ -385,7 +390,8 @@ def _activity(program: Program, name: str, recorded: Recording, equation: Equati
         behind,
         time_first(recorded.spikes, dtype),
         torch.from_numpy(np.asarray(layer.threshold * layer.scale, np.float64)).to(dtype),
-        _MEMBRANES if equation.threshold is None else resets,
+        equation.threshold is not None,
+        convention.reset == "subtract",
         most > 1,
         before.dtype.kind != "f" or not np.isnan(before).any(),
     )
@@ -404,39 +410,40 @@ class _Layer:
         derivative: Surrogate,
         detach_reset: bool,
     ) -> None:
-        self._equation, self._seen, self._derivative = equation, seen, derivative
-        self._detach_reset = detach_reset
-        self._at, self._states = 0, ()  # currents and membranes (B, N) so far
+        a, b, threshold, leak, self._gain = equation
+        none = torch.zeros_like(b)
+        numbers = [none if each is None else each for each in (a, b, threshold, leak)]
+        self._constants, self._has_current = torch.stack(numbers), a is not None
+        self._array = self._constants.detach().numpy()
+        self._seen, self._derivative, self._detach_reset = seen, derivative, detach_reset
+        self._at, self._states = 0, none  # currents and membranes (2, B, N) of the timestep before
 
     def advance(self, arriving: Tensor) -> Tensor:
         """Return spikes or membranes (T, B, N) of the next timesteps for what arrives (T, B, N)."""
-        a, b, threshold, leak, gain = self._equation
-        drive = arriving * gain
-        rows = slice(self._at, self._at + len(arriving))
-        self._at = rows.stop
-        zeros = torch.zeros_like(drive[0])
-        current, membrane = self._states or (zeros, zeros)
-        none = torch.zeros_like(b)
-        constants = torch.stack([
-            none if a is None else a, b, none if threshold is None else threshold,
-            none if leak is None else leak,
-        ])  # fmt: skip
-        states = torch.stack([current, membrane])
-        arrays = [each.detach().contiguous().numpy() for each in (drive, states, constants)]
-        if self._seen is None:
-            seen = _integrated(*arrays)
-        else:
-            seen = self._seen.window(rows)
-            if not seen.tells:
-                before = seen.before.numpy().copy()
-                arriving_ = arrays[0] if a is None else seen.current.numpy()
-                _fill_unknown(before, seen.behind.numpy(), arriving_, arrays[1], arrays[2])
-                seen = replace(seen, before=torch.from_numpy(before))
-        passes = not self._detach_reset and (seen.kind == _SUBTRACT or not seen.several)
-        found, *self._states = _Neurons.apply(  # type: ignore[no-untyped-call]
-            drive, states[0], states[1], constants, seen, self._derivative, passes
+        drive = arriving * self._gain
+        if not self._at:
+            self._states = drive.new_zeros(2, *drive.shape[1:])
+        seen = self._window(drive, slice(self._at, self._at + len(drive)))
+        self._at += len(drive)
+        passes = not self._detach_reset and (seen.subtracts or not seen.several)
+        found: Tensor
+        found, self._states = _Neurons.apply(  # type: ignore[no-untyped-call]
+            drive, self._states, self._constants, seen, self._derivative, passes
         )
-        return cast("Tensor", found)
+        return found
+
+    def _window(self, drive: Tensor, rows: slice) -> _Activity:
+        """Return what the neurons did in some timesteps."""
+        if self._seen is not None and self._seen.tells:
+            return self._seen.window(rows)
+        arriving, states = drive.detach().contiguous().numpy(), self._states.detach().numpy()
+        if self._seen is None:
+            return _integrated(arriving, states, self._array)
+        seen = self._seen.window(rows)
+        before = seen.before.numpy().copy()
+        arriving = seen.current.numpy() if self._has_current else arriving
+        _fill_unknown(before, seen.behind.numpy(), arriving, states, self._array)
+        return replace(seen, before=torch.from_numpy(before), tells=True)
 
 
 def _integrated(drive: Array, states: Array, constants: Array) -> _Activity:
@@ -448,71 +455,58 @@ def _integrated(drive: Array, states: Array, constants: Array) -> _Activity:
         before_i = current[t] = constants[0] * before_i + x
         before_v = membrane[t] = constants[1] * before_v + before_i + constants[3]
     behind = torch.from_numpy(membrane)
-    return _Activity(
-        torch.from_numpy(current),
-        behind,
-        behind,
-        behind,
-        torch.from_numpy(constants[2]),
-        _MEMBRANES,
-    )
+    threshold = torch.from_numpy(constants[2])
+    return _Activity(torch.from_numpy(current), behind, behind, behind, threshold)
 
 
 class _Neurons(torch.autograd.Function):
     """What a layer did on the chip in a window of timesteps; the gradient at what was recorded.
 
-    Returns spikes or membranes (T, B, N), and the last currents and membranes (B, N).
+    Returns spikes or membranes (T, B, N), and the last currents and membranes (2, B, N).
     """
 
     @staticmethod
     def forward(
         ctx: Any,  # noqa: ANN401
         drive: Tensor,
-        current: Tensor,
-        membrane: Tensor,
+        states: Tensor,
         constants: Tensor,
         seen: _Activity,
         derivative: Surrogate,
         through_reset: bool,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        ctx.held = current.detach(), membrane.detach(), constants.detach(), seen
+    ) -> tuple[Tensor, Tensor]:
+        ctx.held = states.detach(), constants.detach(), seen
         ctx.derivative, ctx.through_reset = derivative, through_reset
-        found = seen.behind if seen.kind == _MEMBRANES else seen.spikes
+        found = seen.spikes if seen.spiking else seen.behind
         # other tensors than ctx holds: a cycle through the graph would never be freed
-        return found.detach(), seen.current[-1].clone(), seen.behind[-1].clone()
+        return found.detach(), torch.stack([seen.current[-1], seen.behind[-1]])
 
     @staticmethod
     @once_differentiable
-    def backward(
-        ctx: Any,  # noqa: ANN401
-        upstream: Tensor,
-        to_current: Tensor,
-        to_membrane: Tensor,
-    ) -> tuple[Tensor | None, ...]:
-        current, membrane, constants, seen = ctx.held
-        slope = upstream  # of no use to membranes
-        if seen.kind != _MEMBRANES:
+    def backward(ctx: Any, upstream: Tensor, later: Tensor) -> tuple[Tensor | None, ...]:  # noqa: ANN401
+        states, constants, seen = ctx.held
+        if not seen.spiking:
+            slope = torch.ones_like(upstream)  # of membranes, from which nothing is subtracted
+        else:
             slope = ctx.derivative(seen.before - seen.threshold)
-        if seen.kind != _MEMBRANES and seen.several:
+        if seen.spiking and seen.several:
             # s = floor(V / threshold): on average one more for each threshold
             slope = torch.where(seen.before > seen.threshold, 1 / constants[2], slope)
         rows = [
             each.contiguous().numpy()
             for each in (upstream, slope, seen.before, seen.behind, seen.current, seen.spikes)
         ]
-        states = torch.stack([current, membrane]).numpy()
-        later = torch.stack([to_current, to_membrane]).numpy()
-        to_drive, to_numbers = np.empty_like(rows[0]), np.zeros_like(constants.numpy())
-        arrays = (*rows, states, constants.numpy(), later, to_drive, to_numbers)
-        _differentiate(seen.kind, ctx.through_reset, *arrays)
-        before = torch.from_numpy(later)
-        gradients = torch.from_numpy(to_drive), *before, torch.from_numpy(to_numbers)
-        return (*gradients, None, None, None)
+        to_states, to_numbers = later.clone(), torch.zeros_like(constants)
+        to_drive = torch.empty_like(upstream, memory_format=torch.contiguous_format)
+        tensors = states, constants, to_states, to_drive, to_numbers
+        arrays = [each.numpy() for each in tensors]
+        _differentiate(seen.subtracts or not seen.spiking, ctx.through_reset, *rows, *arrays)
+        return to_drive, to_states, to_numbers, None, None, None
 
 
 @kept_on_disk
 def _differentiate(
-    kind: int,
+    subtracts: bool,
     through_reset: bool,
     upstream: Array,
     slope: Array,
@@ -522,7 +516,7 @@ def _differentiate(
     spikes: Array,
     states: Array,
     constants: Array,
-    later: Array,
+    to_states: Array,
     to_drive: Array,
     to_numbers: Array,
 ) -> None:
@@ -530,20 +524,20 @@ def _differentiate(
 
     states: (2, B, N) current and membrane before the first timestep
     constants: (4, N) a, b, threshold and leak
-    later: (2, B, N) gradients of the current and of the membrane behind the reset: of the last
+    to_states: (2, B, N) gradients of the current and of the membrane behind the reset: of the last
         timestep at first, of `states` in the end
     """
     zero = constants[0, 0] - constants[0, 0]
     for t in range(upstream.shape[0] - 1, -1, -1):
+        last_current = current[t - 1] if t else states[0]
+        last_membrane = behind[t - 1] if t else states[1]
         for n_b in range(upstream.shape[1]):
             for n in range(upstream.shape[2]):
                 a, b, threshold = constants[0, n], constants[1, n], constants[2, n]
-                after = later[1, n_b, n]
-                reset = after if through_reset else zero
                 g, v, s = slope[t, n_b, n], before[t, n_b, n], spikes[t, n_b, n]
-                if kind == _MEMBRANES:
-                    to_membrane = upstream[t, n_b, n] + after
-                elif kind == _SUBTRACT:
+                after = to_states[1, n_b, n]
+                reset = after if through_reset else zero
+                if subtracts:
                     to_spike = upstream[t, n_b, n] - threshold * reset
                     to_membrane = g * to_spike + after
                     to_numbers[2, n] -= g * to_spike + s * after
@@ -551,17 +545,13 @@ def _differentiate(
                     to_spike = upstream[t, n_b, n] - v * reset
                     to_membrane = g * to_spike + (after if s == zero else zero)
                     to_numbers[2, n] -= g * to_spike
-                to_current = to_membrane + later[0, n_b, n]
+                to_current = to_membrane + to_states[0, n_b, n]
                 to_drive[t, n_b, n] = to_current
+                to_numbers[0, n] += to_current * last_current[n_b, n]
+                to_numbers[1, n] += to_membrane * last_membrane[n_b, n]
                 to_numbers[3, n] += to_membrane
-                if t:
-                    to_numbers[0, n] += to_current * current[t - 1, n_b, n]
-                    to_numbers[1, n] += to_membrane * behind[t - 1, n_b, n]
-                else:
-                    to_numbers[0, n] += to_current * states[0, n_b, n]
-                    to_numbers[1, n] += to_membrane * states[1, n_b, n]
-                later[0, n_b, n] = a * to_current
-                later[1, n_b, n] = b * to_membrane
+                to_states[0, n_b, n] = a * to_current
+                to_states[1, n_b, n] = b * to_membrane
 
 
 @kept_on_disk
@@ -605,3 +595,16 @@ def _scale(values: Array, scale: Array, found: Array) -> None:
         for t in range(values.shape[1]):
             for n in range(values.shape[2]):
                 found[t, b, n] = values[b, t, n] * scale[n]
+
+
+@kept_on_disk
+def _count(values: Array, counts: NDArray[np.uint8]) -> bool:
+    """Write whole numbers (T, B, M) as counts (B, T, M); False if there are others."""
+    others = 0
+    for t in range(values.shape[0]):
+        for b in range(values.shape[1]):
+            for m in range(values.shape[2]):
+                held = np.uint8(min(max(values[t, b, m], 0), 255))
+                others += held != values[t, b, m]
+                counts[b, t, m] = held
+    return others == 0

@@ -6,7 +6,7 @@ from torch import nn
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.torch_network import LAYERS, Fixed, Node, Weights, flatten
+from spikedeploy.trainers.torch_network import Fixed, Node, Weights, flatten
 from spikedeploy.trainers.torch_neurons import is_neurons, neurons_of
 from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons
 
@@ -33,7 +33,7 @@ def node_of(name: str, module: nn.Module, takes: Shape) -> Node:
         return node
     if (neurons := neurons_of(name, module, takes)) is not None:
         return neurons
-    if isinstance(module, tuple(LAYERS.values())):
+    if isinstance(module, nn.Linear | nn.Conv1d | nn.Conv2d):
         axes = module.weight.ndim - 1
         if len(takes) != axes:
             raise ConfigError(

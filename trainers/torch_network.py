@@ -12,7 +12,7 @@ Neurons are the difference equation of `runtime.graph.neurons`, with gains that 
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import nir
 import numpy as np
@@ -29,12 +29,9 @@ from spikedeploy.runtime.graph.shapes import Shape, shape_of, window_of
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.neurons import Surrogate
 
-if TYPE_CHECKING:
-    from spikedeploy.trainers.fitting import Fitting
-
 Edge: TypeAlias = tuple[str, str]
 Array: TypeAlias = NDArray[np.float64]
-LAYERS = {"Linear": nn.Linear, "Conv1d": nn.Conv1d, "Conv2d": nn.Conv2d}  # that have weights
+_LAYERS = {"Linear": nn.Linear, "Conv1d": nn.Conv1d, "Conv2d": nn.Conv2d}  # that have weights
 
 # of a neuron that never forgets beside ones that do, in a node with a time constant for each:
 # 1 - b is this, far below what any chip's decay factor resolves
@@ -76,16 +73,14 @@ class Weights(Node):
 
     layer: nn.Linear, nn.Conv1d or nn.Conv2d
     norm: nn.BatchNorm behind it, at its running statistics, or None
-    fitting: what makes the weights fit the axons of a chip, or None
+    fitting: trainers.fitting.Fitting, which makes the weights fit the axons of a chip, or None
     """
-
-    fitting: "Fitting | None"
 
     def __init__(self, layer: Any, takes: Shape) -> None:  # noqa: ANN401
         super().__init__()
         self.layer, self.takes = layer, takes
         self.norm: Any = None
-        self.fitting = None
+        self.fitting: Any = None
         with torch.no_grad():
             self.puts = tuple(self(layer.weight.new_zeros(1, *takes)).shape[1:])
 
@@ -151,7 +146,7 @@ class Weights(Node):
         return Weights(layer, self.takes)
 
     def _layer_spec(self, bias: bool) -> dict[str, Any]:
-        kind = next(name for name, each in LAYERS.items() if isinstance(self.layer, each))
+        kind = next(name for name, each in _LAYERS.items() if isinstance(self.layer, each))
         names = [name for name in self.layer.__constants__ if name != "output_padding"]
         return {"kind": kind, "bias": bias} | {name: getattr(self.layer, name) for name in names}
 
@@ -163,7 +158,7 @@ class Weights(Node):
 
 
 def _layer(kind: str, **settings: Any) -> Any:  # noqa: ANN401
-    return LAYERS[kind](**settings)
+    return _LAYERS[kind](**settings)
 
 
 class Fixed(Node):

@@ -4,6 +4,7 @@ import gc
 import warnings
 import weakref
 from dataclasses import replace
+from itertools import pairwise
 
 import nir
 import numpy as np
@@ -204,7 +205,7 @@ def test_gradients_of_what_a_delay_holds_back_go_to_the_timestep_that_it_came_fr
         "output": nir.Output({"output": np.array([n])}),
     }
     names = list(nodes)
-    graph = nir.NIRGraph(nodes, list(zip(names, names[1:], strict=False)), type_check=False)
+    graph = nir.NIRGraph(nodes, list(pairwise(names)), type_check=False)
     module = on_chip(Artifact(graph, None, Convention(1e-3)), "ideal", limits=False)
     x = torch.ones(5, 1, n, requires_grad=True)
     module(x)[4].sum().backward()
