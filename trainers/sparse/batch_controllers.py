@@ -1,7 +1,7 @@
 """Students in episodes: in float to collect walks, on the chip to validate, and what they count."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,13 +12,8 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import EVENTS
-from spikedeploy.trainers.policies import (
-    DeltaSnnPolicy,
-    Policy,
-    PrunedMlpPolicy,
-)
+from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy, PrunedMlpPolicy
 from spikedeploy.trainers.policies.delta_policy import delta_artifact
-from spikedeploy.trainers.sparse.walks import BatchController
 
 FloatArray = NDArray[np.float64]
 
@@ -47,16 +42,6 @@ class FloatController:
         return self.policy.env_action(self.mean(observation))
 
 
-class Counted(BatchController, Protocol):
-    """A BatchController that counts what it does."""
-
-    def operations(self, lengths: Sequence[int]) -> float:
-        """Return the mean operations of a control step in all episodes since it was made.
-
-        lengths: control steps of each; robots that are at their end keep their place, uncounted
-        """
-
-
 class ChipController:
     """An artifact on a chip as a BatchController, with the synaptic operations of its ledger."""
 
@@ -71,7 +56,10 @@ class ChipController:
         self._controller.reset(0)
 
     def operations(self, lengths: Sequence[int]) -> float:
-        """Return the mean synaptic operations of a control step, as in Counted."""
+        """Return the mean synaptic operations of a control step in all episodes so far.
+
+        lengths: control steps of each; robots that are at their end keep their place, uncounted
+        """
         found = self._controller.ledger.counts[:, :, EVENTS.index("sop")].sum(1)
         return _mean_in_episodes(found, self._robots, lengths)
 
@@ -104,7 +92,7 @@ class MultiplyingController(FloatController):
         return mean
 
     def operations(self, lengths: Sequence[int]) -> float:
-        """Return the mean multiplications of a control step, as in Counted."""
+        """Return the mean multiplications of a control step, as ChipController does."""
         return _mean_in_episodes(np.concatenate(self._steps), self._robots, lengths)
 
 
@@ -122,7 +110,7 @@ def _mean_in_episodes(rows: NDArray[Any], robots: Sequence[int], lengths: Sequen
     return float(rows[np.concatenate(within)].mean())
 
 
-def controller_of(policy: Policy, chip: Chip) -> Counted:
+def controller_of(policy: Policy, chip: Chip) -> ChipController | MultiplyingController:
     """Return the policy as the chip runs it; a float policy as it is."""
     if isinstance(policy, DeltaSnnPolicy):
         return ChipController(delta_artifact(policy), chip)

@@ -159,7 +159,7 @@ class Sparse(Runner[SparseConfig]):
         if config.noisy_walks:
             self._collect(Stateless(self._noisy), config.noisy_walks)
         self._fit()
-        self._prepare()
+        self._student.prepare(self.pool, self._binary)
 
     def _references(self, seeds: list[int]) -> tuple[float, float]:
         """Return the mean returns of the teacher, and of random actions, on these seeds."""
@@ -194,15 +194,10 @@ class Sparse(Runner[SparseConfig]):
         when = ("always",) if polished else ("always", "before-polish")
         if self._config.retune in when:
             student.retune(self.pool, self._binary)
-        self._prepare()
+        self._student.prepare(self.pool, self._binary)
         self.phase += 1
         self.start = operations(self._student.synapses())
         self.learner.restart()
-
-    def _prepare(self) -> None:
-        """Encode the walks of the pool."""
-        self._student.observe(self.pool, self._binary)
-        self._student.prepare(self.pool)
 
     # walks
 
@@ -334,7 +329,7 @@ class Sparse(Runner[SparseConfig]):
         self.pool.add(own_walks(self._run.path, self._sums, self._sizes))
         if "binary" in tensors:
             self._binary = tensors["binary"].numpy()
-        self._prepare()
+        self._student.prepare(self.pool, self._binary)
         if self._config.search:
             self._ended = [Ended(**each) for each in state["ended"]]
             self._shares, self._confirming = state["shares"], tuple(state["confirming"])

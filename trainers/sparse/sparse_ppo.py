@@ -45,7 +45,7 @@ from spikedeploy.trainers.sparse.batch_controllers import FloatController, contr
 from spikedeploy.trainers.sparse.pruning import operations
 from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.student import DeltaStudent, imitation, student
-from spikedeploy.trainers.sparse.walks import Earned, Episodes, WalkPool, Windows, mean_outcome
+from spikedeploy.trainers.sparse.walks import Episodes, Walk, WalkPool, Windows, mean_outcome
 
 Ends = tuple[Rate, Rate]
 _EPS = 1e-8
@@ -120,26 +120,19 @@ class SparsePpoConfig(RunConfig):
         return self
 
 
-# -- the run that PPO goes on from. A run folder stores it relative to the folder that holds both,
-#    so that they can be moved together; a start elsewhere is stored as an absolute path
+# -- the run that PPO goes on from
 
 
 def find_start(start: str, runs: Path) -> RunFolder:
     """Return the run that `start` of a run in the folder `runs` names.
 
-    Where an absolute path has gone, a folder of that name beside the run is taken.
+    Where its path has gone, a folder of that name beside the run is taken, so that both can be
+    moved together.
     """
-    for path in (runs / start, Path(start), Path("runs") / start, runs / Path(start).name):
+    for path in (runs / start, runs / Path(start).name):
         if (path / "config.json").is_file():
             return RunFolder(path)
     return RunFolder.find(start)
-
-
-def stored_start(start: RunFolder, runs: Path) -> str:
-    """Return `start` as the run folder stores it."""
-    # the last part stays as it is, which may be a link into another folder
-    path, folder = start.path.parent.resolve() / start.path.name, runs.resolve()
-    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 
 def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, SparseConfig, Policy]:
@@ -151,27 +144,20 @@ def starting_point(config: SparsePpoConfig, runs: Path) -> tuple[RunFolder, Spar
         )
     run, level = find_start(config.start, runs), config.start_checkpoint
     if (found := run.settings()["algorithm"]) != "sparse":
-        raise ConfigError(
-            f"start: {config.start} is a run of {found}. Give one of a sparse recipe."
-        )
+        raise ConfigError(f"start: {config.start} is a run of {found}, not of a sparse recipe")
     source = run.config(SparseConfig)
     if source.env.name != config.env.name:
         raise ConfigError(
-            f"start: {config.start} was trained in {source.env.name}, not in {config.env.name}. "
-            "Take the recipe of its task."
+            f"start: {config.start} was trained in {source.env.name}, not in {config.env.name}"
         )
     if not run.checkpoint(level).is_file():
         raise ConfigError(
-            f"start: {config.start} has no policy at its budget yet. Wait until it ends, or "
-            "continue it with --resume."
-            if level == "best"
-            else f"start_checkpoint: {config.start} has no policy {level!r}. It has "
-            f"{', '.join(run.levels.values()) or 'none of any level yet'}."
+            f"start_checkpoint: {config.start} has no policy {level!r} yet; of its levels it has "
+            f"{', '.join(run.levels.values()) or 'none'}"
         )
-    policy = run.policy(level)
     if level.startswith(LEVEL):
         source = source.model_copy(update={"budget": float(level.removeprefix(LEVEL))})
-    return run, source, policy
+    return run, source, run.policy(level)
 
 
 class SparsePpo(Runner[SparsePpoConfig]):
@@ -195,8 +181,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
     def __init__(self, config: SparsePpoConfig, run: RunFolder) -> None:
         runs = run.path.parent
         start, source, self.policy = starting_point(config, runs)
-        # the folder says which policy is in it, and can be moved with its start
-        more = {"policy": source.policy, "start": stored_start(start, runs)}
+        # the folder says which policy is in it
+        more = {"policy": source.policy, "start": str(start.path.resolve())}
         config = config.model_copy(update=more)
         run.write_config(config)
         super().__init__(config, run, config.iterations, config.checkpoint_every)
@@ -230,8 +216,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         walks, returns, _ = self._episodes.play(seeds, controller, self._teacher.act_all)
         self._returns += returns
         pool, drawn = WalkPool(walks), torch.stack(controller.drawn)
-        actor = self.iterations >= config.warm_up
-        self._learned = learner.learn(pool, drawn, self._episodes.earned, actor)
+        self._learned = learner.learn(pool, drawn, actor=self.iterations >= config.warm_up)
         self.env_steps += pool.steps
         self.iterations += 1
         return True
@@ -370,7 +355,7 @@ def cut_tiles(pool: WalkPool, window: int, burn_in: int) -> Tiles:
 
 
 def walk_advantages(
-    earned: Sequence[Earned],
+    walks: Sequence[Walk],
     values: Sequence[Tensor],
     gamma: float,
     trace: float,
@@ -381,11 +366,11 @@ def walk_advantages(
     values: (S_k + 1,) of each walk, that of its end included
     scale: divisor of the rewards
     """
-    reward = pad_sequence([torch.from_numpy(each.reward) for each in earned])
-    lengths = torch.tensor([len(each.reward) for each in earned])
+    reward = pad_sequence([torch.from_numpy(walk.reward) for walk in walks])
+    lengths = torch.tensor([len(walk.reward) for walk in walks])
     step = torch.arange(len(reward))[:, None]
     ended = step == lengths - 1
-    terminated = ended & torch.tensor([each.terminated for each in earned])
+    terminated = ended & torch.tensor([walk.terminated for walk in walks])
     value, following = (
         pad_sequence(list(each))
         for each in zip(*((value[:-1], value[1:]) for value in values), strict=True)
@@ -429,38 +414,35 @@ class SparsePpoLearner(Learner):
         first, last = self._config.temperature if discrete else self._config.noise
         self.head.temperature = first + (last - first) * progress
 
-    def operations(self, pool: WalkPool) -> float:
-        """Return the mean operations of a control step on new walks, and prepare their windows."""
-        self.student.prepare(pool)
-        found = cut_tiles(pool, self._config.window, self._config.burn_in)
-        with torch.no_grad():
-            _, activities = self._replayed(found.windows)
-        self.student.adopt_rates([each[found.counts] for each in activities])
-        return operations(self.student.synapses())
-
-    def learn(
-        self, pool: WalkPool, drawn: Tensor, earned: Sequence[Earned], actor: bool
-    ) -> dict[str, float]:
+    def learn(self, pool: WalkPool, drawn: Tensor, actor: bool) -> dict[str, float]:
         """Learn from walks, and return the metrics.
 
         pool: the walks of this iteration alone
         drawn: (S, W, act) or (S, W) actions as drawn
         actor: whether the policy learns, too
         """
-        row = {"operations": self.operations(pool)}
-        advantage = self._assess(pool, earned, row)
+        found, mean = self.replay(pool)
+        row = {"operations": operations(self.student.synapses())}
+        advantage = self._assess(pool, row)
         if actor:
-            found = cut_tiles(pool, self._config.window, self._config.burn_in)
-            row |= self._improve(self.trials(found, drawn, advantage))
+            row |= self._improve(self.trials(found, mean, drawn, advantage))
         return row
 
     @torch.no_grad()
-    def trials(self, found: Tiles, drawn: Tensor, advantage: Tensor) -> Trials:
+    def replay(self, pool: WalkPool) -> tuple[Tiles, Tensor]:
+        """Return windows of new walks, and means (n, L, act) in them; take over their rates."""
+        self.student.prepare(pool)
+        found = cut_tiles(pool, self._config.window, self._config.burn_in)
+        mean, activities = self._replayed(found.windows)
+        self.student.adopt_rates([each[found.counts] for each in activities])
+        return found, mean
+
+    @torch.no_grad()
+    def trials(self, found: Tiles, mean: Tensor, drawn: Tensor, advantage: Tensor) -> Trials:
         """Return windows with drawn actions and advantages (S, W), these normalised."""
         counted = found.gather(advantage)[found.counts]
         normal = (advantage - counted.mean()) / (counted.std() + _EPS)
         chosen = found.gather(drawn)
-        mean, _ = self._replayed(found.windows)
         before = self.log_probability(mean, chosen)
         return Trials(**vars(found.windows), drawn=chosen, advantage=found.gather(normal),
                       counts=found.counts, before=before)  # fmt: skip
@@ -476,24 +458,26 @@ class SparsePpoLearner(Learner):
         mean, activities = self.student.replay(windows, burn_in)
         return mean[:, burn_in:], [each[:, burn_in:] for each in activities]
 
-    def _assess(self, pool: WalkPool, earned: Sequence[Earned], row: dict[str, float]) -> Tensor:
+    def _assess(self, pool: WalkPool, row: dict[str, float]) -> Tensor:
         """Return advantages (S, W), after which the critic learns from them."""
         config = self._config
         seen = [  # (S + 1, obs) of each walk, the observation after its last step included
             self.policy.normalizer(
-                torch.from_numpy(np.concatenate([walk.observation, each.final[None]]))
+                torch.from_numpy(np.concatenate([walk.observation, walk.final[None]]))
             )
-            for walk, each in zip(pool.walks, earned, strict=True)
+            for walk in pool.walks
         ]
         if self.scale.isnan():
             zeros = [each.new_zeros(len(each)) for each in seen]
-            found, counts = walk_advantages(earned, zeros, config.gamma, 1.0)
+            found, counts = walk_advantages(pool.walks, zeros, config.gamma, 1.0)
             returns = found[counts]
             self.scale = returns.std() + _EPS
             self.critic.value.bias.data.fill_(float(returns.mean() / self.scale))
         with torch.no_grad():
             values = [self.critic(each) for each in seen]
-        advantage, counts = walk_advantages(earned, values, config.gamma, config.trace, self.scale)
+        advantage, counts = walk_advantages(
+            pool.walks, values, config.gamma, config.trace, self.scale
+        )
         target = [advantage[: len(value) - 1, k] + value[:-1] for k, value in enumerate(values)]
         error = advantage[counts].var() / torch.cat(target).var()
         row["explained"] = 1.0 - float(error)

@@ -1,5 +1,9 @@
-"""Students: policies that learn from walks and are pruned."""
+"""Students: policies that learn from walks and are pruned.
 
+Another kind of student is another subclass of Student, and an entry of `student`.
+"""
+
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -20,12 +24,9 @@ from spikedeploy.trainers.policies.delta_policy import (
     delta_encoder,
     live_neurons,
 )
-from spikedeploy.trainers.policies.policy import SynapseGroup
+from spikedeploy.trainers.policies.policy import PrunedWeight, SynapseGroup
 from spikedeploy.trainers.run_folder import with_prefix
-from spikedeploy.trainers.sparse.delta_encoder import (
-    binary_columns,
-    choose_steps,
-)
+from spikedeploy.trainers.sparse.delta_encoder import binary_columns, choose_steps
 from spikedeploy.trainers.sparse.rounding import (
     round_for_chip,
     rounding_offsets,
@@ -38,41 +39,52 @@ _SMOOTHING = 0.02  # weight of the newest batch in mean rates of hidden neurons
 
 
 class Student:
-    """A policy that learns from walks, and what pruning and validation ask of it.
+    """A policy that learns from walks; without an encoder and rounding, as float policies are.
 
     policy: what is trained
     readout: names of the parameters behind the last hidden layer, and past it
+    rates: mean operations of a synapse of each input, and of each neuron of each hidden layer, in a
+        control step
     """
 
-    policy: Policy
+    policy: DeltaSnnPolicy | PrunedMlpPolicy
     readout: frozenset[str]
 
-    # the encoder; float policies have none
+    def __init__(
+        self,
+        config: SparseConfig,
+        layers: Sequence[PrunedWeight],
+        past: PrunedWeight | None,
+        rates: list[Tensor],
+    ) -> None:
+        self._config, self._layers, self._past, self.rates = config, layers, past, rates
+
+    # the encoder
 
     def start(self, binary: NDArray[np.bool_]) -> None:
         """Set the first steps of the encoder, `binary` (obs,) of observations with two values."""
 
-    def observe(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
-        """Record which binary observations take only two values in all walks of the pool."""
-
     def retune(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
         """Set the encoder's steps anew, by how much each observation matters."""
 
+    @abstractmethod
+    def prepare(self, pool: WalkPool, binary: NDArray[np.bool_] | None = None) -> None:
+        """Compute what `loss` and `replay` read of the pool's walks.
+
+        binary: observations with two values, as far as is known; None to keep what is known of them
+        """
+
     # learning
 
-    def prepare(self, pool: WalkPool) -> None:
-        """Compute what `loss` and `replay` read of the pool's walks."""
-        raise NotImplementedError
-
+    @abstractmethod
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of a batch, and the hidden neurons' operations in a control step."""
-        raise NotImplementedError
 
+    @abstractmethod
     def replay(self, windows: Windows, burn_in: int) -> tuple[Tensor, list[Tensor]]:
         """Return means (B, L, act) and hidden activities (B, L, H) of windows."""
-        raise NotImplementedError
 
-    # numbers of the chip; a float policy is deployed as it is
+    # numbers of the chip
 
     @property
     def rounds(self) -> bool:
@@ -92,42 +104,62 @@ class Student:
 
     # operations
 
-    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
-        """Return the hidden neurons' operations for activities (n, H), with a gradient."""
-        raise NotImplementedError
-
-    def adopt_rates(self, activities: list[Tensor]) -> None:
-        """Take over how often hidden neurons are active, from activities (n, H)."""
-        raise NotImplementedError
-
     @property
+    @abstractmethod
     def neurons(self) -> int:
         """Hidden neurons that are left."""
-        raise NotImplementedError
+
+    def layers(self) -> list[SynapseGroup]:
+        """Return the synapses onto each hidden layer, then those onto the output."""
+        pairs = zip(self._layers, self.rates, strict=False)
+        return [SynapseGroup(matrix, rate) for matrix, rate in pairs]
 
     def synapses(self) -> list[SynapseGroup]:
         """Return all synapses."""
-        raise NotImplementedError
+        past = [] if self._past is None else [SynapseGroup(self._past, self.rates[0])]
+        return [*self.layers(), *past]
 
     def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
         """Return the synapses onto and from the neurons of each hidden layer."""
-        raise NotImplementedError
+        return list(pairwise(self.layers()))
+
+    def hidden_operations(self, activities: Sequence[Tensor]) -> Tensor:
+        """Return the hidden neurons' operations for activities (n, H), with a gradient.
+
+        Of a float network it is the mean activation times the fan-out, since the share of active
+        neurons has no gradient.
+        """
+        pairs = zip(activities, self._layers[1:], strict=False)
+        costs = [(active.mean(0) * matrix.fan_out).sum() for active, matrix in pairs]
+        return sum(costs, start=torch.zeros(()))
+
+    def adopt_rates(self, activities: Sequence[Tensor]) -> None:
+        """Take over how often hidden neurons are active, from activities (n, H)."""
+        self.rates[1:] = self._active(activities)
+
+    def _active(self, activities: Sequence[Tensor]) -> list[Tensor]:
+        """Return the mean operations of a synapse of each neuron (H,), layer by layer."""
+        return [active.mean(0) for active in activities]
+
+    def _smooth(self, found: Sequence[Tensor]) -> None:
+        """Move the rates of hidden neurons towards those of a batch."""
+        pairs = zip(self.rates[1:], found, strict=True)
+        self.rates[1:] = [torch.lerp(before, rate.detach(), _SMOOTHING) for before, rate in pairs]
 
     # checkpoints
 
     def tensors(self) -> dict[str, Tensor]:
         """Return what a checkpoint holds beside the policy, by name."""
-        raise NotImplementedError
+        return {f"rate{number}": rate.clone() for number, rate in enumerate(self.rates[1:])}
 
     def load(self, named: Mapping[str, Tensor]) -> None:
         """Restore what `tensors` returned."""
-        raise NotImplementedError
+        self.rates[1:] = [named[f"rate{number}"] for number in range(len(self.rates) - 1)]
 
 
 class DeltaStudent(Student):
     """A DeltaSnnPolicy, which learns from windows of walks.
 
-    hidden_rate: (H,) mean spikes of the hidden neurons in a control step
     offsets: what rounding by the chip adds to each field of DeltaWeights; none before `round`
     quanta: by matrix, the quantum to whose multiples weights are rounded in each forward pass
     each_pass: whether they are; otherwise offsets hold from one `round` to the next, so that what
@@ -139,41 +171,39 @@ class DeltaStudent(Student):
     readout = frozenset({"out.weight", "past.weight", "action_bias", "_gamma"})
 
     def __init__(self, policy: DeltaSnnPolicy, config: SparseConfig) -> None:
+        layers = [policy.into, policy.out] if policy.hidden else []
+        rates = [torch.ones(policy.observations), torch.full((policy.hidden,), 0.15)]
+        super().__init__(config, layers, policy.past if policy.skip else None, rates)
         self.policy = policy
-        self._config = config
-        self.hidden_rate = torch.full((policy.hidden,), 0.15)
         self.offsets: dict[str, Tensor] = {}
         self.quanta: dict[str, Tensor] = {}
-        self._event_rate = torch.ones(policy.observations)
 
     def start(self, binary: NDArray[np.bool_]) -> None:
         """Set the first steps of the encoder: those of binary observations are their swing."""
         self.policy.step.fill_(self._config.step)
         self.policy.step[binary] = 1.0
 
-    def observe(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
-        """Record which binary observations take only two values in all walks of the pool."""
-        found = binary.copy()
-        found[found] = binary_columns(
-            np.concatenate([w.observation[:, binary] for w in pool.walks])
-        )
-        self.policy.two_valued = tuple(np.flatnonzero(found).tolist())
-
     def retune(self, pool: WalkPool, binary: NDArray[np.bool_]) -> None:
         """Set the encoder's steps anew, by how much each observation matters."""
         step = choose_steps(self.policy, pool, binary, self._config)
         self.policy.step.copy_(torch.from_numpy(step))
 
-    def prepare(self, pool: WalkPool) -> None:
-        """Compute the pool's events with the policy's encoder: `loss` and `replay` need them."""
-        precise = deepcopy(self.policy).double()
+    def prepare(self, pool: WalkPool, binary: NDArray[np.bool_] | None = None) -> None:
+        """Compute the pool's events with the policy's encoder."""
+        policy = self.policy
+        if binary is not None:
+            found = binary.copy()
+            found[found] = binary_columns(
+                np.concatenate([w.observation[:, binary] for w in pool.walks])
+            )
+            policy.two_valued = tuple(np.flatnonzero(found).tolist())
+        precise = deepcopy(policy).double()
         normaliser = delta_codec(precise).normaliser
         rows = (normaliser(walk.observation.astype(np.float64)) for walk in pool.walks)
-        policy = self.policy
         pool.encode(
             rows, delta_encoder(precise), policy.current_decay, policy.delay, policy.timesteps
         )
-        self._event_rate = pool.event_rate
+        self.rates[0] = pool.event_rate
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of windows, and the hidden neurons' operations in a control step."""
@@ -185,7 +215,7 @@ class DeltaStudent(Student):
         after = mean[:, c.burn_in :], batch.label[:, c.burn_in :]
         error = imitation(*after, self.policy, c.sharpness).mean()
         rate = spikes[:, c.burn_in :].mean((0, 1))
-        self.hidden_rate = torch.lerp(self.hidden_rate, rate.detach(), _SMOOTHING)
+        self._smooth([rate])
         excess = (rate.sum() / max(len(rate), 1) - c.rate_target).relu()
         return error, (rate * self.policy.out.fan_out).sum() + c.rate_cost * excess
 
@@ -231,43 +261,20 @@ class DeltaStudent(Student):
         """Return the policy with the numbers that the chip holds, if it is rounded."""
         return round_for_chip(self.policy, target) if self._config.rounding else self.policy
 
-    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
-        """Return the hidden neurons' operations for spikes (n, H), with a gradient."""
-        return (activities[0].mean(0) * self.policy.out.fan_out).sum()
-
-    def adopt_rates(self, activities: list[Tensor]) -> None:
-        """Take over how often hidden neurons spike, from spikes (n, H)."""
-        self.hidden_rate = activities[0].mean(0)
-
     @property
     def neurons(self) -> int:
         """Hidden neurons that are left."""
         return int(live_neurons(self.policy).sum())
 
-    def synapses(self) -> list[SynapseGroup]:
-        """Return all synapses."""
-        policy = self.policy
-        found = list(self._around_hidden()) if policy.hidden else []
-        past = SynapseGroup(policy.past, self._event_rate)
-        return [*found, past] if policy.skip else found
-
-    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
-        """Return the synapses onto and from the neurons of the layer, if it is one."""
-        return [self._around_hidden()] if self.policy.hidden else []
-
-    def _around_hidden(self) -> tuple[SynapseGroup, SynapseGroup]:
-        into = SynapseGroup(self.policy.into, self._event_rate)
-        return into, SynapseGroup(self.policy.out, self.hidden_rate)
-
     def tensors(self) -> dict[str, Tensor]:
         """Return rates, offsets and quanta of rounding, by name."""
         offsets = {f"offsets.{name}": added for name, added in self.offsets.items()}
         quanta = {f"quanta.{name}": each for name, each in self.quanta.items()}
-        return {"hidden_rate": self.hidden_rate.clone(), **offsets, **quanta}
+        return {**super().tensors(), **offsets, **quanta}
 
     def load(self, named: Mapping[str, Tensor]) -> None:
         """Restore what `tensors` returned."""
-        self.hidden_rate = named["hidden_rate"]
+        super().load(named)
         self.offsets, self.quanta = (with_prefix(n, named) for n in ("offsets", "quanta"))
 
 
@@ -277,20 +284,20 @@ class MlpStudent(Student):
     policy: PrunedMlpPolicy
 
     def __init__(self, policy: PrunedMlpPolicy, config: SparseConfig) -> None:
+        # share of control steps in which each input, and each hidden neuron, is not 0
+        rates = [torch.ones(policy.observations)]
+        rates += [torch.full((width,), 0.5) for width in policy.hidden]
+        super().__init__(config, policy.layers, policy.past if policy.skip else None, rates)
         self.policy = policy
-        self._config = config
-        # share of control steps in which each input, and each neuron of each hidden layer, is not 0
-        self._input_rate = torch.ones(policy.observations)
-        self._rates = [torch.full((width,), 0.5) for width in policy.hidden]
         last = len(policy.matrices) - 1
         self.readout = frozenset({f"matrices.{last}.weight", f"biases.{last}", "past.weight"})
 
-    def prepare(self, pool: WalkPool) -> None:
+    def prepare(self, pool: WalkPool, binary: NDArray[np.bool_] | None = None) -> None:
         """Store the raw observations in windows, for `replay`; count which are not 0."""
         pool.take_observations()
         seen = (self.policy.normalizer(torch.from_numpy(w.observation)) for w in pool.walks)
         counts = [torch.count_nonzero(each, 0) for each in seen]
-        self._input_rate = torch.stack(counts).sum(0) / pool.steps
+        self.rates[0] = torch.stack(counts).sum(0) / pool.steps
 
     def loss(self, pool: WalkPool, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return the error of states, and the hidden neurons' operations in a control step."""
@@ -298,8 +305,7 @@ class MlpStudent(Student):
         count = c.batch * (c.window - c.burn_in)
         observation, label = pool.states(rng, count, c.crash_windows, c.crash_steps)
         mean, (_, *hidden) = self.policy.activations(observation)
-        pairs = zip(self._rates, _active(hidden), strict=True)
-        self._rates = [torch.lerp(before, rate, _SMOOTHING) for before, rate in pairs]
+        self._smooth(self._active(hidden))
         error = imitation(mean, label, self.policy, c.sharpness).mean()
         return error, self.hidden_operations(hidden)
 
@@ -309,49 +315,13 @@ class MlpStudent(Student):
         mean, (_, *hidden) = self.policy.activations(windows.seen.flatten(0, 1))
         return mean.view(count, length, -1), [x.view(count, length, -1) for x in hidden]
 
-    def hidden_operations(self, activities: list[Tensor]) -> Tensor:
-        """Return the mean of activations (n, H) times their fan-outs, which stands for operations.
-
-        The share of active neurons has no gradient.
-        """
-        pairs = zip(activities, self.policy.layers[1:], strict=True)
-        costs = [(hidden.mean(0) * matrix.fan_out).sum() for hidden, matrix in pairs]
-        return sum(costs, start=torch.zeros(()))
-
-    def adopt_rates(self, activities: list[Tensor]) -> None:
-        """Take over how often hidden neurons are not 0, from activations (n, H)."""
-        self._rates = _active(activities)
-
     @property
     def neurons(self) -> int:
         """Hidden neurons that are left."""
         return sum(int(matrix.mask.any(0).sum()) for matrix in self.policy.layers[1:])
 
-    def synapses(self) -> list[SynapseGroup]:
-        """Return all synapses."""
-        past = SynapseGroup(self.policy.past, self._input_rate)
-        return [*self._layers(), past] if self.policy.skip else self._layers()
-
-    def hidden_layers(self) -> list[tuple[SynapseGroup, SynapseGroup]]:
-        """Return the synapses onto and from the neurons of each hidden layer."""
-        return list(pairwise(self._layers()))
-
-    def _layers(self) -> list[SynapseGroup]:
-        rates = [self._input_rate, *self._rates]
-        return [SynapseGroup(m, rate) for m, rate in zip(self.policy.layers, rates, strict=True)]
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return rates by name."""
-        return {f"rate{number}": rate.clone() for number, rate in enumerate(self._rates)}
-
-    def load(self, named: Mapping[str, Tensor]) -> None:
-        """Restore what `tensors` returned."""
-        self._rates = [named[f"rate{number}"] for number in range(len(self._rates))]
-
-
-def _active(activations: Sequence[Tensor]) -> list[Tensor]:
-    """Return the share of rows in which each neuron (H,) is not 0, layer by layer."""
-    return [(hidden > 0).float().mean(0) for hidden in activations]
+    def _active(self, activities: Sequence[Tensor]) -> list[Tensor]:
+        return [(hidden > 0).float().mean(0) for hidden in activities]
 
 
 def student(policy: Policy, config: SparseConfig) -> Student:
@@ -361,8 +331,8 @@ def student(policy: Policy, config: SparseConfig) -> Student:
     if isinstance(policy, PrunedMlpPolicy):
         return MlpStudent(policy, config)
     raise ConfigError(
-        f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn, "
-        "or pruned-mlp"
+        f"a policy of kind {policy.kind!r} cannot be pruned: choose policy.kind delta-snn or "
+        "pruned-mlp"
     )
 
 

@@ -1,7 +1,7 @@
 """Whole walks: collected from environments, on disk, their events, and windows of them."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -34,27 +34,19 @@ class Walk:
     """One episode of S control steps.
 
     observation: (S, obs) raw, float32
-    label: (S, act) the teacher's action, or its logits, in each of them
+    label: (S, act) the teacher's action, or its logits, in each of them; (S, 0) where not asked for
     crashed: whether it ended by a fall or crash
+    reward: (S,) float32; this and what follows is not on disk
+    final: (obs,) observation after the last step, float32
+    terminated: whether that was a terminal state, and not the time limit
     """
 
     observation: Single
     label: Single
     crashed: bool = False
-
-
-@dataclass(frozen=True)
-class Earned:
-    """Data of an episode of S control steps.
-
-    reward: (S,) float32
-    final: (obs,) observation after the last step, float32
-    terminated: whether that was a terminal state, and not the time limit
-    """
-
-    reward: Single
-    final: Single
-    terminated: bool
+    reward: Single = field(default_factory=lambda: np.zeros(0, np.float32))
+    final: Single = field(default_factory=lambda: np.zeros(0, np.float32))
+    terminated: bool = False
 
 
 # -- collection
@@ -94,40 +86,33 @@ def random_actions(count: int, discrete: bool, rng: np.random.Generator) -> Stat
 class Episodes:
     """Copies of an environment, for whole episodes of at most `limit` control steps.
 
-    earned: what the episodes of the last call of `play` brought, one for each seed
+    worlds: the environments behind their wrappers
+    lengths: control steps of each episode of the last call of `play`
     """
 
     def __init__(self, config: EnvConfig, count: int, limit: int | None = None) -> None:
-        self._count, self._limit = count, limit
-        self.earned: list[Earned] = []
+        self._limit = limit
         self._envs: list[Any] = [envs.make(config.name, **config.options) for _ in range(count)]
-
-    @property
-    def lengths(self) -> list[int]:
-        """Control steps of each episode of the last call of `play`."""
-        return [len(each.reward) for each in self.earned]
-
-    @property
-    def worlds(self) -> list[Any]:
-        """The environments behind their wrappers."""
-        return [env.unwrapped for env in self._envs]
+        self.worlds = [env.unwrapped for env in self._envs]
+        self.lengths: list[int] = []
 
     def play(
         self, seeds: Sequence[int], controller: BatchController, label: Label | None = None
     ) -> tuple[list[Walk], list[float], list[dict[str, Any]]]:
-        """Return walks (none without `label`), returns and last infos, one for each seed.
+        """Return walks, returns and last infos, one for each seed.
 
         label: what to imitate in observations (B, obs): actions or logits (B, act)
         """
-        self.earned = []
         walks: list[Walk] = []
         totals: list[float] = []
         infos: list[dict[str, Any]] = []
-        for at in range(0, len(seeds), self._count):
-            played = self._side_by_side(seeds[at : at + self._count], controller, label)
+        for at in range(0, len(seeds), len(self._envs)):
+            part = seeds[at : at + len(self._envs)]
+            played = self._side_by_side(part, controller, label)
             walks += played[0]
             totals += played[1]
             infos += played[2]
+        self.lengths = [len(walk.reward) for walk in walks]
         return walks, totals, infos
 
     def _side_by_side(
@@ -145,22 +130,27 @@ class Episodes:
         controller.reset(count)
         while not ended.all() and len(seen) != self._limit:
             seen.append(now.copy())
-            if label is not None:
-                labels.append(label(seen[-1]))
+            labels.append(np.zeros((count, 0)) if label is None else label(seen[-1]))
             actions = controller.act_batch(seen[-1])
             for k in np.flatnonzero(~ended).tolist():
                 now[k], reward, terminal[k], truncated, infos[k] = copies[k].step(actions[k])
                 totals[k] += reward
                 rewards[k].append(reward)
                 ended[k] = terminal[k] or truncated
-        for each, last, end in zip(rewards, now.astype(np.float32), terminal, strict=True):
-            self.earned.append(Earned(np.array(each, np.float32), last, bool(end)))
+        shown, wanted = (np.stack(each, 1).astype(np.float32) for each in (seen, labels))
         walks = []
-        if label is not None:
-            shown, wanted = (np.stack(each, 1).astype(np.float32) for each in (seen, labels))
-            for k, info in enumerate(infos):
-                length, crashed = len(rewards[k]), terminal[k] and not info.get("success", False)
-                walks.append(Walk(shown[k, :length], wanted[k, :length], bool(crashed)))
+        for k, (earned, last) in enumerate(zip(rewards, now.astype(np.float32), strict=True)):
+            crashed = bool(terminal[k] and not infos[k].get("success", False))
+            walks.append(
+                Walk(
+                    shown[k, : len(earned)],
+                    wanted[k, : len(earned)],
+                    crashed,
+                    np.array(earned, np.float32),
+                    last,
+                    bool(terminal[k]),
+                )
+            )
         return walks, totals.tolist(), infos
 
 

@@ -188,8 +188,7 @@ def test_operations_are_those_that_a_chip_counts(code, shape, tmp_path):
     _, events, hidden = followed(policy, observation)
     spikes = np.abs(events) if code == "unary" else events != 0
     student = DeltaStudent(policy, settings("stroll-sparse"))
-    student._event_rate = torch.from_numpy(spikes.mean(0)).float()
-    student.hidden_rate = torch.from_numpy(hidden.mean(0)).float()
+    student.rates = [torch.from_numpy(each.mean(0)).float() for each in (spikes, hidden)]
     save(delta_artifact(policy), tmp_path / "policy.nir")
     artifact = load(tmp_path / "policy.nir")
     controller = SpikingController(artifact, chip("ideal"))
