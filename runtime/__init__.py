@@ -49,7 +49,7 @@ EXPORTS = {
     # the chip
     "CHIPS": "spikedeploy.runtime.chips.chip:CHIPS",
     "Chip": "spikedeploy.runtime.chips.chip:Chip",
-    "EnergyTable": "spikedeploy.runtime.metrics.energy:EnergyTable",
+    "EnergyTable": "spikedeploy.runtime.metrics.energy_tables:EnergyTable",
     "EventMachine": ("spikedeploy.runtime.families.integrate_and_fire.event_machine:EventMachine"),
     "Ledger": "spikedeploy.runtime.emulator.ledger:Ledger",
     "Machine": "spikedeploy.runtime.emulator.machine:Machine",

@@ -17,6 +17,16 @@ class ArtifactError(SpikedeployError):
     """A `.nir` file or graph that is damaged, inconsistent or not supported."""
 
 
+def node_error(
+    name: str,
+    found: str,
+    remedy: str = "Export the network again, or correct the node.",
+    kind: type[SpikedeployError] = ArtifactError,
+) -> SpikedeployError:
+    """The error of a node: what was found there, and what to do."""
+    return kind(f"node {name!r}: {found}. {remedy}")
+
+
 class ConventionError(SpikedeployError):
     """A convention (dt, reset, integrator, ...) that is unknown, or impossible for the graph."""
 

@@ -28,8 +28,9 @@ from spikedeploy.runtime.metrics.energy import (
     addition_energy,
     delta_encoder,
     reading_energy,
+    sram,
 )
-from spikedeploy.runtime.metrics.energy_tables import TABLES, sram
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 PAIRS = RESULTS / "energy-pairs.csv"
 

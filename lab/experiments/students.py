@@ -31,7 +31,7 @@ from spikedeploy.comparison.statistics import nested_ratio, risk, t_interval
 from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime.files import replacing, write_json
-from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.run_folder import RunFolder

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.errors import ArtifactError, ConventionError
+from spikedeploy.runtime.errors import ArtifactError, ConventionError, node_error
 from spikedeploy.runtime.metadata import Record, StoredRecord, Tree
 
 Array = NDArray[np.float64]
@@ -99,18 +99,14 @@ def discretise(name: str, node: nir.NIRNode, convention: Convention) -> Discrete
         current_decay, complement = _decay(name, node, "tau_syn", convention)
         gain = complement * float64(node.w_in) * gain
     if not np.isfinite(gain).all() or not np.isfinite(leak).all():
-        raise ConventionError(
-            f"node {name!r}: at dt = {convention.dt:g} s its gain or leak is too large for "
-            "float64. Correct its parameters, or choose another dt."
-        )
+        found = f"at dt = {convention.dt:g} s its gain or leak is too large for float64"
+        raise node_error(name, found, "Choose another dt.", ConventionError)
     gain[np.abs(gain - 1) <= _rounding(node)] = 1.0
     if not isinstance(node, SPIKING):
         return DiscreteNeuron(current_decay, membrane_decay, gain, leak, None, np.zeros_like(gain))
     if convention.spikes == "many" and not (node.v_threshold > node.v_reset).all():
-        raise ConventionError(
-            f"node {name!r}: its threshold is not above v_reset, so that spikes 'many' would be "
-            "infinitely many. Raise the threshold, or choose spikes 'above'."
-        )
+        found = "its threshold is not above v_reset: spikes 'many' would be infinitely many"
+        raise node_error(name, found, "Choose spikes 'above'.", ConventionError)
     threshold, v_reset = float64(node.v_threshold), float64(node.v_reset)
     return DiscreteNeuron(current_decay, membrane_decay, gain, leak, threshold, v_reset)
 
@@ -130,11 +126,10 @@ def _decay(name: str, node: nir.NIRNode, field: str, convention: Convention) -> 
     # for tau = dt, rounding puts dt/tau beside 1
     rounding = max(_rounding(node), ROUNDING.get(tau.dtype.type, 0.0))
     if step.max() > 1 + rounding:
-        raise ConventionError(
-            f"node {name!r}: dt = {convention.dt:.9g} s is longer than {field} = "
-            f"{convention.dt / step.max():.9g} s, and forward Euler would overshoot. "
-            "Choose a shorter dt, or the exponential integrator."
-        )
+        longest = f"{field} = {convention.dt / step.max():.9g} s"
+        found = f"dt = {convention.dt:.9g} s is longer than {longest}: Euler would overshoot"
+        remedy = "Choose a shorter dt, or the exponential integrator."
+        raise node_error(name, found, remedy, ConventionError)
     near = np.abs(step - 1) <= 4 * np.finfo(tau.dtype).eps
     step = np.where(near, 1.0, np.minimum(step, 1.0))
     return 1 - step, step
@@ -288,13 +283,8 @@ def check_sigma_delta(graph: nir.NIRGraph, neurons: Mapping[str, SigmaDelta]) ->
     for name, each in sorted(neurons.items()):
         node = graph.nodes.get(name)
         if not isinstance(node, nir.I):
-            found = "there is no such node" if node is None else f"it is {type(node).__name__}"
-            raise ArtifactError(
-                f"node {name!r}: the metadata call it sigma-delta neurons, which NIR node I holds; "
-                f"{found}. Export the policy again."
-            )
+            kind = "there is no such node" if node is None else f"it is {type(node).__name__}"
+            raise node_error(name, f"the metadata call it sigma-delta neurons, a NIR I; {kind}")
         if each.threshold.shape != node.r.shape:
-            raise ArtifactError(
-                f"node {name!r}: its sigma-delta thresholds have shape {each.threshold.shape}, the "
-                f"node {node.r.shape}. Export the policy again."
-            )
+            shapes = f"have shape {each.threshold.shape}, the node {node.r.shape}"
+            raise node_error(name, f"its sigma-delta thresholds {shapes}")

@@ -23,7 +23,7 @@ from typing import TypeAlias
 import nir
 import numpy as np
 
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import node_error
 from spikedeploy.runtime.graph.order import Edge
 from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,
@@ -33,6 +33,7 @@ from spikedeploy.runtime.graph.shapes import (
     Shape,
     flattened_shape,
     output_shape,
+    parameter_shape,
     stated_shape,
     whole_numbers,
 )
@@ -60,19 +61,20 @@ def flatten(graph: nir.NIRGraph, path: str = "") -> nir.NIRGraph:
     if not inner:
         return graph
     nodes = {name: node for name, node in graph.nodes.items() if name not in inner}
-    edges = _Edges()
-    edges.add(graph.edges)
+    edges = _Edges(graph.edges)
     for name, node in sorted(inner.items()):
         _unpack(name, flatten(node, f"{path}{name}."), nodes, edges, f"{path}{name}")
-    return nir.NIRGraph(nodes, edges.sorted(), metadata=graph.metadata, type_check=False)
+    pairs = sorted((source, target) for source, found in edges.after.items() for target in found)
+    return nir.NIRGraph(nodes, pairs, metadata=graph.metadata, type_check=False)
 
 
 class _Edges:
     """Edges that change, by the neighbours of each node."""
 
-    def __init__(self) -> None:
+    def __init__(self, edges: Iterable[Edge]) -> None:
         self.before: defaultdict[str, set[str]] = defaultdict(set)
         self.after: defaultdict[str, set[str]] = defaultdict(set)
+        self.add(edges)
 
     def add(self, edges: Iterable[Edge]) -> None:
         """Add edges."""
@@ -89,28 +91,20 @@ class _Edges:
             self.before[target].discard(name)
         return before, after
 
-    def sorted(self) -> list[Edge]:
-        """All edges, sorted."""
-        return sorted((source, target) for source, found in self.after.items() for target in found)
-
 
 def _unpack(outer: str, graph: nir.NIRGraph, nodes: Nodes, edges: _Edges, path: str) -> None:
     """Replace the node `outer` by the nodes and edges of its graph."""
     ends = []
     for kind, found in (("Input", graph.inputs), ("Output", graph.outputs)):
         if len(found) != 1:
-            raise ArtifactError(
-                f"node {path!r}: the graph inside it has {len(found)} {kind} nodes "
-                f"({', '.join(sorted(found))}); it must have one, because an edge names only the "
-                "outer node. Give it one, or flatten the graph in the tool that wrote it."
-            )
+            names = ", ".join(sorted(found))
+            many = f"the graph inside it has {len(found)} {kind} nodes ({names}), not one"
+            raise node_error(path, many, "Give it one, or flatten the graph.")
         ends.append(f"{outer}.{next(iter(found))}")
     for name, node in graph.nodes.items():
         if f"{outer}.{name}" in nodes:
-            raise ArtifactError(
-                f"node {path!r}: its node {name!r} would be called {outer}.{name}, but that name "
-                "is taken. Rename one of the two."
-            )
+            taken = f"its node {name!r} would be called {outer}.{name}, but that name is taken"
+            raise node_error(path, taken, "Rename one of the two.")
         nodes[f"{outer}.{name}"] = node
     before, after = edges.remove(outer)
     first, last = ends
@@ -125,10 +119,7 @@ def _bypass(port: str, nodes: Nodes, edges: _Edges) -> None:
     """Connect the sources of a port to its targets; keep it where an edge would double."""
     sources, targets = edges.remove(port)
     if len(sources) * len(targets) > MAX_EDGES:
-        raise ArtifactError(
-            f"node {port!r}: {len(sources)} edges lead to it and {len(targets)} from it, which "
-            f"makes more than {MAX_EDGES} edges in one level. Put a node without effect between."
-        )
+        raise node_error(port, f"more than {MAX_EDGES} edges in one level lead over it")
     if port not in sources and not any(edges.after[source] & targets for source in sources):
         del nodes[port]
         edges.add(product(sources, targets))
@@ -170,10 +161,8 @@ def _in_floats(name: str, node: nir.NIRNode) -> nir.NIRNode:
     for field, value in whole.items():
         # max and min in Python, whose numbers do not wrap
         if max(int(value.max()), -int(value.min())) > _LARGEST_INTEGER:
-            raise ArtifactError(
-                f"node {name!r}: {field} holds whole numbers beyond {_LARGEST_INTEGER}, which no "
-                "float holds. Scale them down."
-            )
+            found = f"{field} holds whole numbers beyond {_LARGEST_INTEGER}, which no float holds"
+            raise node_error(name, found, "Scale them down.")
         setattr(other, field, value.astype(np.float64))
     return other
 
@@ -289,16 +278,10 @@ def _is_open(node: nir.NIRNode) -> bool:
         shape = np.asarray(node.output_type["output"])
         return shape.dtype.kind in "fiu" and shape.ndim == 1 and bool(np.prod(shape) <= 1)
     if isinstance(node, ELEMENTWISE):
-        return 1 in _parameters(node)
+        return 1 in parameter_shape(node)
     return isinstance(node, (nir.Flatten, *POOLS)) or (
         isinstance(node, CONVOLUTIONS) and node.input_shape is None
     )
-
-
-def _parameters(node: nir.NIRNode) -> Shape:
-    """The shape of the parameters of a node with one for each value."""
-    field = {nir.Scale: "scale", nir.Threshold: "threshold", nir.Delay: "delay"}
-    return tuple(map(int, np.shape(getattr(node, field.get(type(node), "r")))))
 
 
 def _fitted(
@@ -315,7 +298,7 @@ def _fitted(
         return nir.Output(np.array(arriving)) if widened else node
     if not isinstance(node, ELEMENTWISE):
         return node
-    shape = _parameters(node)
+    shape = parameter_shape(node)
     single = math.prod(shape) == 1
     aligned = len(shape) == len(arriving) and all(
         a in (1, b) for a, b in zip(shape, arriving, strict=True)

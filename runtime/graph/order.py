@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.errors import ArtifactError, ConventionError
+from spikedeploy.runtime.errors import ArtifactError, ConventionError, node_error
 from spikedeploy.runtime.graph.neurons import NEURONS, ROUNDING
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS
 
@@ -78,7 +78,7 @@ def timing(graph: nir.NIRGraph, convention: Convention) -> Timing:
     names = tuple(in_waves(nodes, graph.edges))
     if loops := len(names) < len(nodes):
         names, closing = order(graph, late)
-        late = {*closing}
+        late = set(closing)
     steps = {n: each - (n in delaying and not pipelined) for n, each in delays.items()}
     # without loops a node runs for all timesteps at once, after its late sources too
     return Timing(names, frozenset(late), steps, loops)
@@ -93,11 +93,9 @@ def delay_timesteps(name: str, node: nir.Delay, convention: Convention) -> NDArr
     tolerance = ROUNDING.get(node.delay.dtype.type, ROUNDING[np.float64])
     fractional = np.abs(steps - whole) > tolerance * np.maximum(whole, 1)
     if fractional.any():
-        raise ConventionError(
-            f"node {name!r}: a delay of {node.delay[fractional][0]:g} s is "
-            f"{steps[fractional][0]:g} timesteps of {convention.dt:g} s, which is not whole. "
-            "Choose a dt that divides it, or round it."
-        )
+        delay, ratio = node.delay[fractional][0], steps[fractional][0]
+        found = f"a delay of {delay:g} s is {ratio:g} timesteps of {convention.dt:g} s, not whole"
+        raise node_error(name, found, "Choose a dt that divides it.", ConventionError)
     return np.asarray(whole, np.int64)
 
 
@@ -134,17 +132,13 @@ def order(graph: nir.NIRGraph, late: Iterable[Edge] = ()) -> Order:
             if first in loop:
                 break
         else:
-            raise _no_neuron(inside)
+            shown = ", ".join(sorted(inside)[:20])
+            raise ArtifactError(
+                f"the loop through {shown} has no neuron in it, so that a value would depend on "
+                "itself within one timestep. Put a neuron into the loop or open it."
+            )
         near = {name: loop.intersection(before[name]) for name in loop}
         delayed |= _edges_onto([first], near, graph.nodes, NEURONS)
-
-
-def _no_neuron(loop: Collection[str]) -> ArtifactError:
-    more = f" and {len(loop) - 20} more" if len(loop) > 20 else ""
-    return ArtifactError(
-        f"the loop through {', '.join(sorted(loop)[:20])}{more} has no neuron in it, so that a "
-        "value would depend on itself within one timestep. Put a neuron into the loop or open it."
-    )
 
 
 def in_waves(names: Collection[str], edges: Iterable[Edge]) -> list[str]:

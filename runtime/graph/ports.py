@@ -56,12 +56,14 @@ def by_port(all_: Sequence[Port], rasters: Rows | Mapping[str, Rows]) -> dict[st
         is_flat = rasters.shape[2:] == (port.size,)
         given = {port.name: split(all_, rasters)[port.name] if is_flat else rasters}
     else:
-        raise ObservationError(
-            f"the network has the inputs {', '.join(port.name for port in all_)}, found one raster "
-            "without a name. Give one raster for each input, by name."
-        )
+        raise ObservationError(f"one raster without a name is given. {_inputs(all_)}")
     _check_rasters(all_, given)
     return given
+
+
+def _inputs(all_: Sequence[Port]) -> str:
+    names = ", ".join(port.name for port in all_)
+    return f"The network has the inputs {names}: give one raster for each, by name."
 
 
 def check_unmasked(raster: object) -> None:
@@ -92,30 +94,19 @@ def split(all_: Sequence[Port], rows: Rows) -> dict[str, Rows]:
 def _check_rasters(all_: Sequence[Port], rows: Mapping[str, Rows]) -> None:
     """Raise ObservationError where the rasters (B, T, *shape) do not fit the ports."""
     if names := sorted({port.name for port in all_} ^ set(rows)):
-        raise ObservationError(
-            f"the network has the inputs {', '.join(port.name for port in all_)}, found rasters "
-            f"for {', '.join(sorted(rows))}. Give one raster for each input; "
-            f"{names[0]} has no match."
-        )
+        raise ObservationError(f"{names[0]!r} has no match. {_inputs(all_)}")
+    leading = rows[all_[0].name].shape[:2]
     for port in all_:
-        _check(port, rows[port.name], rows[all_[0].name].shape[:2])
-
-
-def _check(port: Port, rows: Rows, leading: tuple[int, ...]) -> None:
-    if rows.ndim == 3 and len(port.shape) == 1 and rows.shape[2] != port.size and rows.size:
-        raise ObservationError(
-            f"the raster is {rows.shape[2]} wide; node {port.name!r} takes {port.size} spike "
-            "trains side by side. Give the raster of this network."
-        )
-    if rows.ndim < 2 or rows.shape[2:] != port.shape or not rows.size:
-        wanted = ", ".join(["B", "T", *map(str, port.shape)])
-        raise ObservationError(
-            f"the raster has shape {rows.shape} with its batch; node {port.name!r} takes "
-            f"({wanted}), B inferences of at least one timestep. Add the missing axis or give the "
-            "raster of this network."
-        )
-    if rows.shape[:2] != leading:
-        raise ObservationError(
-            f"the raster of node {port.name!r} has (B, T) = {rows.shape[:2]}, that of another "
-            f"input {leading}. Give all rasters the same batch and timesteps."
-        )
+        found = rows[port.name]
+        if found.ndim < 2 or found.shape[2:] != port.shape or not found.size:
+            wanted = ", ".join(["B", "T", *map(str, port.shape)])
+            raise ObservationError(
+                f"the raster has shape {found.shape} with its batch; node {port.name!r} takes "
+                f"({wanted}), B inferences of at least one timestep. Give the raster of this "
+                "network."
+            )
+        if found.shape[:2] != leading:
+            raise ObservationError(
+                f"the raster of node {port.name!r} has (B, T) = {found.shape[:2]}, that of another "
+                f"input {leading}. Give all rasters the same batch and timesteps."
+            )

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import ArtifactError, node_error
 from spikedeploy.runtime.graph.neurons import NEURONS
 
 Shape: TypeAlias = tuple[int, ...]
@@ -104,15 +104,11 @@ def _padding(
     if padding == "valid":
         return tuple((0, 0) for _ in kernel)
     if padding != "same":
-        raise ArtifactError(
-            f"node {name!r}: padding is {padding[:20]!r}; it must be 'same', 'valid' or whole "
-            "numbers. Correct the node."
-        )
+        found = f"padding is {padding[:20]!r}; it must be 'same', 'valid' or whole numbers"
+        raise node_error(name, found)
     if max(stride) > 1:
-        raise ArtifactError(
-            f"node {name!r}: padding 'same' with stride {stride} differs between tools. Write the "
-            "padding as whole numbers."
-        )
+        found = f"padding 'same' with stride {stride} differs between tools"
+        raise node_error(name, found, "Write the padding as whole numbers.")
     total = [d * (k - 1) for k, d in zip(kernel, dilation, strict=True)]
     return tuple((n // 2, n - n // 2) for n in total)
 
@@ -179,24 +175,17 @@ def _check_work(graph: nir.NIRGraph, shapes: Shapes) -> None:
     for name, (takes, puts) in sorted(shapes.items()):
         node = graph.nodes[name]
         values += math.prod(puts)
-        if values > MAX_VALUES:
-            raise ArtifactError(
-                f"node {name!r}: it and the nodes before it put out {values} values in a "
-                f"timestep; at most {MAX_VALUES} for all. Correct its shape, or divide the network."
-            )
-        if (found := multiplications(name, node, puts)) > _MAX_MULTIPLICATIONS:
-            raise ArtifactError(
-                f"node {name!r}: {found} multiplications in a timestep; at most "
-                f"{_MAX_MULTIPLICATIONS}. Correct its kernel or its shape."
-            )
-        if not isinstance(node, CONVOLUTIONS):
-            continue
-        windows = takes[0] * math.prod(puts[1:]) * math.prod(node.weight.shape[2:])
-        if windows > _MAX_WINDOW_VALUES:
-            raise ArtifactError(
-                f"node {name!r}: its windows hold {windows} values; at most {_MAX_WINDOW_VALUES}. "
-                "Correct its kernel or its shape."
-            )
+        windows = 0
+        if isinstance(node, CONVOLUTIONS):
+            windows = takes[0] * math.prod(puts[1:]) * math.prod(node.weight.shape[2:])
+        for number, what, most in (
+            (values, "values are put out here and before", MAX_VALUES),
+            (multiplications(name, node, puts), "multiplications", _MAX_MULTIPLICATIONS),
+            (windows, "values in its windows", _MAX_WINDOW_VALUES),
+        ):
+            if number > most:
+                limit = f"{number} {what} in a timestep; at most {most}"
+                raise node_error(name, limit, "Correct its shape, or divide the network.")
 
 
 def multiplications(name: str, node: nir.NIRNode, puts: Shape) -> int:
@@ -229,10 +218,8 @@ def _shapes(graph: nir.NIRGraph) -> Shapes:
         unknown.difference_update(new)
         waiting = sorted({target for name in new for target in targets[name]} & unknown)
         if unknown and not waiting:
-            raise ArtifactError(
-                f"node {min(unknown)!r}: its shape is not known, because no edge from a node with "
-                "a known shape leads to it. Connect it to the input, or remove it."
-            )
+            found = "its shape is not known, as no edge from a node with a known shape leads to it"
+            raise node_error(min(unknown), found, "Connect it to the input, or remove it.")
     return shapes
 
 
@@ -253,9 +240,13 @@ def stated_shape(name: str, node: nir.NIRNode) -> Shape | None:
         if stated is None:
             return None
         return whole_numbers(name, "shape", np.asarray(stated), np.size(stated), 1)
-    # one parameter for every value
+    return parameter_shape(node)
+
+
+def parameter_shape(node: nir.NIRNode) -> Shape:
+    """The shape of the parameters of a node with one for each value."""
     fields = {nir.Scale: "scale", nir.Threshold: "threshold", nir.Delay: "delay"}
-    return tuple(map(int, getattr(node, fields.get(type(node), "r")).shape))
+    return tuple(map(int, np.shape(getattr(node, fields.get(type(node), "r")))))
 
 
 def _channels(node: nir.NIRNode) -> int:
@@ -264,10 +255,7 @@ def _channels(node: nir.NIRNode) -> int:
 
 def output_shape(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     """Shape that a node puts out for what it takes; ArtifactError where it cannot take that."""
-    if math.prod(takes) > MAX_VALUES:
-        raise ArtifactError(
-            f"node {name!r}: {takes} is more than {MAX_VALUES} values. Correct its shape."
-        )
+    _check_values(name, takes)
     if isinstance(node, DENSE):
         return *takes[:-1], int(node.weight.shape[-2])
     if isinstance(node, (*CONVOLUTIONS, *POOLS)):
@@ -277,35 +265,29 @@ def output_shape(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     return takes
 
 
+def _check_values(name: str, shape: Shape) -> None:
+    if math.prod(shape) > MAX_VALUES:
+        raise node_error(name, f"{shape} is more than {MAX_VALUES} values")
+
+
 def _window_output_shape(name: str, node: nir.NIRNode, takes: Shape) -> Shape:
     """The output shape of a convolution or pool; ArtifactError where its kernel does not fit."""
     axes = ("C", "L") if isinstance(node, nir.Conv1d) else ("C", "H", "W")
     if len(takes) != len(axes):
-        raise ArtifactError(
-            f"node {name!r}: {takes} arrives, but it takes ({', '.join(axes)}). Give the node "
-            "before it an output of these axes."
-        )
+        raise node_error(name, f"{takes} arrives, but it takes ({', '.join(axes)})")
     features = takes[0]
     if isinstance(node, CONVOLUTIONS):
         features = int(node.weight.shape[0])
         if takes[0] != _channels(node):
-            raise ArtifactError(
-                f"node {name!r}: {takes[0]} channels arrive, but the weight {node.weight.shape} "
-                f"with {int(node.groups)} groups is for {_channels(node)}. Correct weight or "
-                "groups."
-            )
+            groups = f"{node.weight.shape} with {int(node.groups)} groups is for {_channels(node)}"
+            raise node_error(name, f"{takes[0]} channels arrive, but the weight {groups}")
     window = window_of(name, node)
     padded, positions = window.padded(takes[1:]), window.positions(takes[1:])
     if min(positions) < 1:
-        raise ArtifactError(
-            f"node {name!r}: a kernel of extent {window.span} does not fit into {padded}, padding "
-            "included. Make the kernel smaller or pad more."
-        )
-    if max(math.prod(padded), math.prod(positions)) > MAX_VALUES:
-        raise ArtifactError(
-            f"node {name!r}: {padded} with padding is more than {MAX_VALUES} values. Correct the "
-            "padding or the shape of the input."
-        )
+        found = f"a kernel of extent {window.span} does not fit into {padded}, padding included"
+        raise node_error(name, found, "Make the kernel smaller or pad more.")
+    _check_values(name, padded)
+    _check_values(name, positions)
     return features, *positions
 
 
@@ -313,12 +295,10 @@ def flattened_shape(name: str, node: nir.Flatten, takes: Shape) -> Shape:
     """The shape with the axes from start_dim to end_dim as one; the batch axis is not counted."""
     (start,) = whole_numbers(name, "start_dim", node.start_dim, 1, -len(takes))
     (end,) = whole_numbers(name, "end_dim", node.end_dim, 1, -len(takes))
-    if max(start, end) >= len(takes) or start % len(takes) > end % len(takes):
-        raise ArtifactError(
-            f"node {name!r}: axes {start} to {end} cannot be flattened in {takes}; the batch axis "
-            "is not counted. Correct start_dim and end_dim."
-        )
     first, last = start % len(takes), end % len(takes)
+    if max(start, end) >= len(takes) or first > last:
+        found = f"axes {start} to {end} cannot be flattened in {takes}"
+        raise node_error(name, found, "Correct them; the batch axis is not counted.")
     return *takes[:first], math.prod(takes[first : last + 1]), *takes[last + 1 :]
 
 
@@ -327,13 +307,7 @@ def whole_numbers(name: str, field: str, value: object, axes: int, minimum: int)
     found = np.asarray(value)
     if found.dtype.kind not in "iu" or found.shape not in {(), (1,), (axes,)} or not found.size:
         shown = str(found.tolist())[:40]
-        raise ArtifactError(
-            f"node {name!r}: {field} is {shown}; it must be whole numbers, one or {axes}. Correct "
-            "the node."
-        )
+        raise node_error(name, f"{field} is {shown}; it must be whole numbers, one or {axes}")
     if found.min() < minimum:
-        raise ArtifactError(
-            f"node {name!r}: {field} holds {found.min()}; it must be {minimum} or more. "
-            "Correct the node."
-        )
+        raise node_error(name, f"{field} holds {found.min()}; it must be {minimum} or more")
     return tuple(int(n) for n in np.broadcast_to(found, (axes,)))

@@ -9,7 +9,7 @@ from collections import Counter
 import nir
 import numpy as np
 
-from spikedeploy.runtime.errors import ArtifactError
+from spikedeploy.runtime.errors import ArtifactError, node_error
 from spikedeploy.runtime.graph.neurons import CURRENT_BASED, LEAKY, NEURONS, SPIKING
 from spikedeploy.runtime.graph.order import neighbours, reach
 from spikedeploy.runtime.graph.shapes import (
@@ -27,6 +27,7 @@ _KINDS = (nir.Input, nir.Output, *_NUMERIC, *CONVOLUTIONS, *POOLS, nir.Flatten)
 # of a graph: more take seconds; a node is a whole layer
 MAX_NODES = 1 << 12
 MAX_EDGES = 1 << 16
+_CONNECT = "Connect it or remove it."
 DERIVED_FIELDS = ("input_type", "output_type", "metadata")
 
 
@@ -39,9 +40,15 @@ def check_graph(graph: nir.NIRGraph) -> None:
         for name, node in found.items():
             shape = np.asarray(node.output_type["output"])
             if shape.dtype.kind not in "iu" or shape.ndim != 1 or not shape.size or shape.min() < 1:
-                raise _fault(name, f"shape is {shape.tolist()}; it must be whole numbers above 0")
+                raise node_error(name, f"shape is {shape.tolist()}, not whole numbers above 0")
     infer_shapes(graph)
-    _check_connected(graph)
+    driven = reach(graph.inputs, neighbours(graph.edges))
+    used = reach(graph.outputs, neighbours((target, source) for source, target in graph.edges))
+    for name in sorted(graph.nodes):
+        if name not in driven:
+            raise node_error(name, "no edges lead to it from an Input", _CONNECT)
+        if name not in used:
+            raise node_error(name, "no edges lead from it to an Output", _CONNECT)
 
 
 def check_nodes(graph: nir.NIRGraph) -> None:
@@ -54,10 +61,7 @@ def check_nodes(graph: nir.NIRGraph) -> None:
         )
     for name, node in sorted(graph.nodes.items()):
         if name in ("", ".") or set(name) & {"/", "\0"}:
-            raise ArtifactError(
-                f"node {name!r}: HDF5 cannot hold this name. Choose one that is not empty, not '.' "
-                "and has no '/' and no zero byte."
-            )
+            raise node_error(name, "HDF5 cannot hold this name", "Choose another.")
         _check_node(name, node)
 
 
@@ -69,77 +73,44 @@ def check_edges(graph: nir.NIRGraph, path: str = "") -> None:
     where = f"in node {path[:-1]!r}: " if path else ""
     for name in graph.nodes:
         if not isinstance(name, str):
-            raise ArtifactError(
-                f"{where}node {name!r}: HDF5 cannot hold this name. Choose a string instead."
-            )
+            raise ArtifactError(f"{where}node {name!r}: HDF5 cannot hold this name. Use a string.")
     if len(graph.edges) > MAX_EDGES:
         raise ArtifactError(
             f"{where}{len(graph.edges)} edges; at most {MAX_EDGES}. Write the synapses between "
             "neurons as one Linear node, not as edges."
         )
-    for edge in graph.edges:
-        if not (isinstance(edge, tuple) and len(edge) == 2):
-            raise ArtifactError(
-                f"{where}edge {edge!r} is not a pair (source, target). Export the network again, "
-                "or correct the edge."
-            )
-        source, target = edge
-        shown = f"{where}edge {source!r} -> {target!r}"
-        for name in edge:
-            if name not in graph.nodes:
-                raise ArtifactError(
-                    f"{shown}: there is no node {name!r}; the nodes are "
-                    f"{', '.join(sorted(graph.nodes)[:50])}. Correct the edge or add the node."
-                )
-        if isinstance(graph.nodes[target], nir.Input):
-            raise ArtifactError(f"{shown} goes into an Input node. Let it end at the node after.")
-        if isinstance(graph.nodes[source], nir.Output):
-            raise ArtifactError(
-                f"{shown} comes out of an Output node. Let it start at the node before."
-            )
-    repeated = sorted(edge for edge, times in Counter(graph.edges).items() if times > 1)
-    if repeated:
-        source, target = repeated[0]
-        raise ArtifactError(
-            f"{where}edge {source!r} -> {target!r} is there twice, which some tools read as one "
-            "edge and some as a sum. Remove one."
-        )
+    for edge, times in Counter(graph.edges).items():
+        if fault := _edge_fault(graph, edge, times):
+            shown = " -> ".join(map(repr, edge))
+            raise ArtifactError(f"{where}edge {shown} {fault}. Correct it, or export again.")
 
 
-def _check_connected(graph: nir.NIRGraph) -> None:
-    """Raise ArtifactError where a node lies on no path from an Input to an Output."""
-    driven = reach(graph.inputs, neighbours(graph.edges))
-    used = reach(graph.outputs, neighbours((target, source) for source, target in graph.edges))
-    for name in sorted(graph.nodes):
-        if name not in driven:
-            raise ArtifactError(
-                f"node {name!r}: no edges lead to it from an Input, so that it would have no "
-                "input. Connect it or remove it."
-            )
-        if name not in used:
-            raise ArtifactError(
-                f"node {name!r}: no edges lead from it to an Output, so that it would have no "
-                "effect. Connect it or remove it."
-            )
-
-
-def _fault(name: str, found: str) -> ArtifactError:
-    return ArtifactError(f"node {name!r}: {found}. Export the network again, or correct the node.")
+def _edge_fault(graph: nir.NIRGraph, edge: tuple[str, ...], times: int) -> str:
+    """What is wrong with an edge; empty where nothing is."""
+    if len(edge) != 2:
+        return "is not a pair (source, target)"
+    if missing := [name for name in edge if name not in graph.nodes]:
+        return f"names {missing[0]!r}, and there is no node {missing[0]!r}"
+    source, target = edge
+    if isinstance(graph.nodes[target], nir.Input):
+        return "goes into an Input node"
+    if isinstance(graph.nodes[source], nir.Output):
+        return "comes out of an Output node"
+    return "is there twice, which some tools read as one edge and some as a sum" * (times > 1)
 
 
 def _check_node(name: str, node: nir.NIRNode) -> None:
     if not isinstance(node, _KINDS):
-        raise ArtifactError(
-            f"node {name!r}: {type(node).__name__} is no primitive of NIR that is supported. "
-            f"Write it with {', '.join(kind.__name__ for kind in _KINDS)}."
-        )
+        known = ", ".join(kind.__name__ for kind in _KINDS)
+        found = f"{type(node).__name__} is no primitive of NIR that is supported"
+        raise node_error(name, found, f"Write it with {known}.")
     numeric = set(vars(node)) - set(DERIVED_FIELDS) if isinstance(node, _NUMERIC) else set()
     for field, value in sorted(vars(node).items()):
         if isinstance(value, np.ndarray) or field in numeric:
             _check_values(name, field, value)
     if isinstance(node, DENSE):
         if node.weight.ndim < 2:
-            raise _fault(name, f"weight has shape {node.weight.shape}; it must be (N, M)")
+            raise node_error(name, f"weight has shape {node.weight.shape}; it must be (N, M)")
         if isinstance(node, nir.Affine):
             _check_shape(name, "bias", node.bias.shape, node.weight.shape[:-1])
     if isinstance(node, CONVOLUTIONS):
@@ -147,22 +118,19 @@ def _check_node(name: str, node: nir.NIRNode) -> None:
     if isinstance(node, NEURONS):
         check_neurons(name, node)
     if isinstance(node, nir.Delay) and node.delay.min() < 0:
-        raise _fault(name, f"delay holds {node.delay.min():g} s; a delay must be 0 or more")
+        raise node_error(name, f"delay holds {node.delay.min():g} s; a delay must be 0 or more")
 
 
 def _check_convolution(name: str, node: nir.NIRNode) -> None:
-    axes = 3 if isinstance(node, nir.Conv1d) else 4
+    kind, axes = type(node).__name__, 3 if isinstance(node, nir.Conv1d) else 4
     for field in ("weight", "bias"):
         _check_values(name, field, getattr(node, field))
     if node.weight.ndim != axes:
-        raise _fault(
-            name,
-            f"weight has shape {node.weight.shape}; a {type(node).__name__} needs {axes} axes: "
-            "features, channels of a group, kernel",
-        )
+        raise node_error(name, f"weight has shape {node.weight.shape}; a {kind} needs {axes} axes")
     (groups,) = whole_numbers(name, "groups", node.groups, 1, 1)
     if len(node.weight) % groups:
-        raise _fault(name, f"{len(node.weight)} features cannot be divided into {groups} groups")
+        found = f"{len(node.weight)} features cannot be divided into {groups} groups"
+        raise node_error(name, found)
     _check_shape(name, "bias", node.bias.shape, node.weight.shape[:1])
 
 
@@ -173,34 +141,31 @@ def check_neurons(name: str, node: nir.NIRNode) -> None:
     taus = ("tau",) if isinstance(node, LEAKY) else ("tau_syn", "tau_mem")
     for field in taus if isinstance(node, (*LEAKY, *CURRENT_BASED)) else ():
         if (tau := getattr(node, field)).min() <= 0:
-            raise _fault(name, f"{field} holds {tau.min():g} s; a time constant must be above 0")
+            found = f"{field} holds {tau.min():g} s; a time constant must be above 0"
+            raise node_error(name, found)
     if isinstance(node, SPIKING) and (low := node.v_threshold < node.v_reset).any():
-        raise _fault(
-            name,
-            f"v_threshold holds {node.v_threshold[low][0]:g}, below its v_reset "
-            f"{node.v_reset[low][0]:g}: each spike would cause another",
-        )
+        threshold, reset = node.v_threshold[low][0], node.v_reset[low][0]
+        raise node_error(name, f"v_threshold holds {threshold:g}, below its v_reset {reset:g}")
 
 
 def _check_values(name: str, field: str, value: object) -> None:
     found = np.asarray(value)
     if found.dtype.kind not in "fiu":
-        raise _fault(name, f"{field} holds {found.dtype}, not numbers")
+        raise node_error(name, f"{field} holds {found.dtype}, not numbers")
     if found.ndim == 0:
-        raise ArtifactError(
-            f"node {name!r}: {field} is a single number without a shape. Give one value per neuron."
-        )
+        shapeless = f"{field} is a single number without a shape"
+        raise node_error(name, shapeless, "Give one value per neuron.")
     if not found.size:
-        raise _fault(name, f"{field} is empty, {found.shape}")
+        raise node_error(name, f"{field} is empty, {found.shape}")
     if not np.isfinite(found).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
         endless = field in ("tau", "r") and bool(np.isposinf(found).all())
         hint = " (snnTorch writes it for beta 1: --from snntorch reads that)" if endless else ""
-        raise _fault(
-            name, f"{field} holds {found[index]} at index {index}; every value must be finite{hint}"
-        )
+        where = f"{field} holds {found[index]} at index {index}"
+        raise node_error(name, f"{where}; every value must be finite{hint}")
 
 
 def _check_shape(name: str, field: str, found: Shape, wanted: Shape) -> None:
     if found != wanted:
-        raise _fault(name, f"{field} has shape {found}; the node's other parameters need {wanted}")
+        others = "the node's other parameters"
+        raise node_error(name, f"{field} has shape {found}; {others} need {wanted}")

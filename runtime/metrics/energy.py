@@ -36,18 +36,7 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.metrics.energy_tables import (
-    ADDITION,
-    MULTIPLICATION,
-    STATIC,
-    TABLES,
-    EnergyTable,
-    StaticPower,
-    Uncertainty,
-    sram,
-)
-
-__all__ = ["ADDITION", "STATIC", "TABLES", "EnergyTable", "StaticPower", "Uncertainty"]
+from spikedeploy.runtime.metrics.energy_tables import TABLES, EnergyTable, StaticPower
 
 
 @dataclass(frozen=True)
@@ -77,19 +66,14 @@ def checked_table_names(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(energy_table(name).name for name in names))
 
 
-def describe_table(table: EnergyTable) -> str:
-    """Describe source and certainty of the table in one line, to print with its numbers."""
-    why = table.uncertainty.why
-    return f"{table.source}: {table.provenance}. Energies: {describe_certainty(table)} ({why})"
-
-
-def describe_certainty(table: EnergyTable) -> str:
-    """The uncertainty of the energies of the table, in a few words."""
-    if table.least:
-        # biases' operations are priced like the others
-        events = " and ".join(sorted(table.least - {"bias_sop"}))
-        return f"{table.uncertainty.describe()}, of {events} alone"
-    return "between two figures" if table.upper_joules else table.uncertainty.describe()
+def _check_prices(table: EnergyTable, *events: str) -> None:
+    """Raise ConfigError where a table has no price of some of these events."""
+    if missing := [event for event in events if event not in table.joules]:
+        known = [name for name, each in TABLES.items() if {*events} <= each.joules.keys()]
+        raise ConfigError(
+            f"energy table {table.name!r} has no price for {missing[0]!r}. "
+            f"Choose one of {', '.join(known)}."
+        )
 
 
 # the energy and time of a ledger
@@ -113,9 +97,7 @@ def energy(ledger: Ledger, table: EnergyTable) -> float:
 
 def energy_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
     """Energy of an inference [J], with its interval."""
-    counts = event_counts(ledger)
-    upper = cost(counts, {**table.joules, **table.upper_joules})
-    return _estimate(cost(counts, table.joules), upper, counts, table)
+    return _estimate(event_counts(ledger), table)
 
 
 def mac_energy(macs: float, table: EnergyTable) -> float:
@@ -123,18 +105,14 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
 
     Raises ConfigError where the table has no price for them.
     """
-    if "mac" not in table.joules:
-        raise ConfigError(
-            f"energy table {table.name!r} has no price for multiply-accumulates. "
-            f"Choose one of {', '.join(n for n, t in TABLES.items() if 'mac' in t.joules)}."
-        )
+    _check_prices(table, "mac")
     return macs * table.joules["mac"]
 
 
 def mac_energy_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
     """Return `mac_energy` [J] with its interval."""
-    joules = mac_energy(macs, table)
-    return _estimate(joules, joules, {"mac": macs}, table)
+    _check_prices(table, "mac")
+    return _estimate({"mac": macs}, table)
 
 
 def static_energy(seconds: float, power: StaticPower) -> float:
@@ -142,7 +120,7 @@ def static_energy(seconds: float, power: StaticPower) -> float:
     return seconds * power.watts * power.share
 
 
-def latency(ledger: Ledger, table: EnergyTable) -> float:
+def latency_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
     """Time of an inference [s], as if one core processed every event one after another.
 
     An upper bound for a network on one core: SANA-FE, which overlaps messages with synaptic
@@ -153,12 +131,8 @@ def latency(ledger: Ledger, table: EnergyTable) -> float:
         timed = ", ".join(name for name, each in TABLES.items() if each.timed)
         raise ConfigError(f"energy table {table.name!r} has no times. Choose one of {timed}.")
     serial = sum(ledger.per_inference(e) * table.seconds.get(e, 0.0) for e in EVENTS)
-    return serial + table.step * ledger.steps / max(ledger.inferences, 1)
-
-
-def latency_estimate(ledger: Ledger, table: EnergyTable) -> EnergyEstimate:
-    """Time of an inference [s], with its interval."""
-    seconds, factor = latency(ledger, table), table.time_uncertainty
+    seconds = serial + table.step * ledger.steps / max(ledger.inferences, 1)
+    factor = table.time_uncertainty
     return EnergyEstimate(seconds, seconds * factor.low, seconds * factor.high)
 
 
@@ -181,14 +155,15 @@ def _marginal_prices(prices: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def _estimate(
-    joules: float, upper: float, counts: Mapping[str, float], table: EnergyTable
-) -> EnergyEstimate:
+def _estimate(counts: Mapping[str, float], table: EnergyTable) -> EnergyEstimate:
+    joules, bounds = cost(counts, table.joules), table.uncertainty
     # where only some prices are the least of their process, nothing else may be added up
     priced = {event for event, count in counts.items() if count and event in table.joules}
-    low = joules * table.uncertainty.low if not table.least or priced <= table.least else 0.0
-    factor = table.uncertainty.high
-    return EnergyEstimate(joules, low, factor if math.isinf(factor) else upper * factor)
+    low = joules * bounds.low if not table.least or priced <= table.least else 0.0
+    if math.isinf(bounds.high):
+        return EnergyEstimate(joules, low, math.inf)
+    upper = cost(counts, {**table.joules, **table.upper_joules})
+    return EnergyEstimate(joules, low, upper * bounds.high)
 
 
 # terms of the chip
@@ -205,19 +180,18 @@ ON_CHIP = tuple(_EVENTS)
 TERMS = (*ON_CHIP, "encoder", "readout", "resets", "activations")
 
 
-def chip_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
-    """Energy [J] of each term of the chip, from the counts of its events; 0 without a price."""
+def priced_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
+    """Energy [J] of each term of the chip, without those that are unknown or in another price.
+
+    counts: of events in an inference, as from `event_counts`.
+    """
     prices = _marginal_prices(table.joules)
+    left_out = (*unpriced_terms(counts, table), *table.included)
     return {
         term: sum(counts.get(event, 0.0) * prices.get(event, 0.0) for event in events)
         for term, events in _EVENTS.items()
+        if term not in left_out
     }
-
-
-def priced_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
-    """Return `chip_terms` without those that are unknown, or part of another price."""
-    left_out = (*unpriced_terms(counts, table), *table.included)
-    return {term: j for term, j in chip_terms(counts, table).items() if term not in left_out}
 
 
 def unpriced_terms(counts: Mapping[str, float], table: EnergyTable) -> tuple[str, ...]:
@@ -229,17 +203,25 @@ def unpriced_terms(counts: Mapping[str, float], table: EnergyTable) -> tuple[str
     )
 
 
-# terms of the host
+# terms of the host, by Horowitz 2014 (energy_tables.toml) [J]
 
-ACCESS = sram(16)
-INSTRUCTION = 70e-12  # of a simple processor, its cache and registers included (Horowitz 2014)
+ADDITION, MULTIPLICATION = 0.1e-12, 3.1e-12  # of 32-bit integers; a comparison subtracts
+INSTRUCTION = 70e-12  # of a simple processor, its cache and registers included
+
+
+def sram(bits: int) -> float:
+    """Energy [J] of reading or writing a word in an SRAM of 8 KB: 10 pJ for 64 bits."""
+    return 10e-12 * bits / 64
+
+
+_ACCESS = sram(16)
 _FETCHED_ADDITION = TABLES["horowitz45-int8"].joules["sop"]
 _FETCHED_MAC = TABLES["horowitz45-int8"].joules["mac"]
 
 
 def reading_energy(observations: float) -> float:
     """Return the energy [J] of reading some observations once."""
-    return observations * ACCESS
+    return observations * _ACCESS
 
 
 def delta_encoder(observations: float, events: float, timesteps: int = 1) -> float:
@@ -250,8 +232,8 @@ def delta_encoder(observations: float, events: float, timesteps: int = 1) -> flo
 
     observations: that some synapse reads.
     """
-    observed = observations * timesteps * (2 * ADDITION + ACCESS)
-    return reading_energy(observations) + observed + events * (ADDITION + ACCESS)
+    observed = observations * timesteps * (2 * ADDITION + _ACCESS)
+    return reading_energy(observations) + observed + events * (ADDITION + _ACCESS)
 
 
 def rate_encoder(observations: float, timesteps: int) -> float:
@@ -261,7 +243,7 @@ def rate_encoder(observations: float, timesteps: int) -> float:
     each timestep an addition, and the accumulator read and written.
     """
     scaled = observations * (MULTIPLICATION + ADDITION)
-    counted = observations * timesteps * (ADDITION + 2 * ACCESS)
+    counted = observations * timesteps * (ADDITION + 2 * _ACCESS)
     return reading_energy(observations) + scaled + counted
 
 
@@ -307,11 +289,7 @@ def break_even_rate(
 
     Raises ConfigError where the table lacks a price.
     """
-    if table.name not in BREAK_EVEN_TABLES:
-        raise ConfigError(
-            f"energy table {table.name!r} has no price for both synaptic operations and "
-            f"multiply-accumulates. Choose one of {', '.join(BREAK_EVEN_TABLES)}."
-        )
+    _check_prices(table, "sop", "mac")
     prices = table.joules
     update = 0.0 if fan_in is None else prices["neuron_update"] / fan_in
     # per synapse and inference: T (rate sop + update / fan_in) = activity mac

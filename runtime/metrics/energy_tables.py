@@ -1,8 +1,8 @@
 """Energy tables: published prices of events with source and uncertainty; static power of chips.
 
-What is published stands in energy_tables.toml, what is derived from Horowitz 2014 here. A chip
-without a table has no published energy per operation: Loihi 2 (none found), Xylo and Speck (whole
-tasks only), Spiker+ (only the power of a whole FPGA).
+All numbers stand in energy_tables.toml. A chip without a table has no published energy per
+operation: Loihi 2 (none found), Xylo and Speck (whole tasks only), Spiker+ (only the power of a
+whole FPGA).
 """
 
 import math
@@ -65,9 +65,9 @@ class EnergyTable:
     """
 
     name: str
-    source: str
-    provenance: str
-    joules: Mapping[str, float]
+    source: str = ""
+    provenance: str = ""
+    joules: Mapping[str, float] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     step: float = 0.0
     uncertainty: Uncertainty = _UNKNOWN
@@ -80,6 +80,20 @@ class EnergyTable:
     def timed(self) -> bool:
         """True if it has any times."""
         return bool(self.seconds) or self.step > 0
+
+    def describe(self) -> str:
+        """Source and certainty in one line, to print with its numbers."""
+        certain = f"{self.certainty} ({self.uncertainty.why})"
+        return f"{self.source}: {self.provenance}. Energies: {certain}"
+
+    @property
+    def certainty(self) -> str:
+        """The uncertainty of the energies, in a few words."""
+        if self.least:
+            # biases' operations are priced like the others
+            events = " and ".join(sorted(self.least - {"bias_sop"}))
+            return f"{self.uncertainty.describe()}, of {events} alone"
+        return "between two figures" if self.upper_joules else self.uncertainty.describe()
 
 
 @dataclass(frozen=True)
@@ -103,136 +117,36 @@ class StaticPower:
 
 
 _PICO, _NANO = 1e-12, 1e-9
-_UNITS = {"joules": _PICO, "upper_joules": _PICO, "seconds": _NANO}
 _PUBLISHED = read_toml(Path(__file__).with_suffix(".toml"))
 
 
-def _prices(given: Mapping[str, Any], unit: float = 1.0) -> dict[str, float]:
+def _prices(given: Mapping[str, Any], unit: float) -> dict[str, float]:
     """Prices of events in J or s; those of biases' operations are those of the others."""
     found = dict[str, float]()
     for event, price in given.items():
-        found[event] = (sum(price) if isinstance(price, list) else price) * unit
+        parts = price if isinstance(price, list) else [price]
+        found[event] = sum(part * unit for part in parts)
         if event == "sop":
             found["bias_sop"] = found["sop"]
     return found
 
 
 def _read_table(name: str) -> EnergyTable:
+    """The table in the file, and what it does not state from the one that it is `like`."""
     given = dict(_PUBLISHED["tables"][name])
-    like = _read_table(given.pop("like")) if "like" in given else EnergyTable("", "", "", {})
-    for field_name, unit in _UNITS.items():
-        given[field_name] = {
-            **getattr(like, field_name),
-            **_prices(given.get(field_name, {}), unit),
-        }
-    for field_name in ("uncertainty", "time_uncertainty"):
-        if field_name in given:
-            given[field_name] = Uncertainty(*given[field_name])
-    if "step" in given:
-        given["step"] *= _NANO
-    for field_name, kind in (("included", tuple), ("least", frozenset)):
-        given[field_name] = kind(given.get(field_name, getattr(like, field_name)))
+    like = _read_table(given.pop("like")) if "like" in given else EnergyTable("")
+    for key, unit in (("joules", _PICO), ("upper_joules", _PICO), ("seconds", _NANO)):
+        own = _prices(given.get(key, {}), unit)
+        given[key] = own | {n: p for n, p in getattr(like, key).items() if n not in own}
+    for key in {"uncertainty", "time_uncertainty"} & given.keys():
+        given[key] = Uncertainty(*given[key])
+    given["step"] = given["step"] * _NANO if "step" in given else like.step
+    given["included"] = tuple(given.get("included", like.included))
+    given["least"] = frozenset(given.get("least", like.least))
     return replace(like, name=name, **given)
 
 
-# Horowitz 2014, ISSCC, 45 nm and 0.9 V [J]: arithmetic, and 10 pJ an access of 64 bits of an 8 KB
-# SRAM, of which a word of fewer bits pays its share
-ADDITION, MULTIPLICATION = 0.1 * _PICO, 3.1 * _PICO  # 32-bit integers; a comparison subtracts
-_MULTIPLY8 = 0.2 * _PICO
-_FLOAT_ADD, _FLOAT_MULTIPLY = 0.9 * _PICO, 3.7 * _PICO
-
-
-def sram(bits: int) -> float:
-    """Energy [J] of reading or writing a word in an SRAM of 8 KB (Horowitz 2014: 10 pJ a 64)."""
-    return 10 * _PICO * bits / 64
-
-
-_SMALLEST = "arithmetic and the smallest memory; control and larger memories add to it"
-_DERIVED = "neuron updates are derived, and narrower states cost less"
-
-_HOROWITZ45 = EnergyTable(
-    name="horowitz45",
-    source="Horowitz 2014, ISSCC: 45 nm, 0.9 V",
-    provenance="arithmetic in float32 and one weight fetched from an 8 KB SRAM per operation, the "
-    "best case; sums in registers; neuron updates derived: two multiplications, three additions, "
-    "four accesses",
-    joules=_prices(
-        {
-            "mac": _FLOAT_MULTIPLY + _FLOAT_ADD + sram(32),
-            "sop": _FLOAT_ADD + sram(32),
-            "neuron_update": 2 * _FLOAT_MULTIPLY + 3 * _FLOAT_ADD + 4 * sram(32),
-            "state_write": sram(32),
-        }
-    ),
-    uncertainty=Uncertainty(1.0, math.inf, f"{_SMALLEST}; {_DERIVED}"),
-    least=frozenset({"mac", "sop", "bias_sop"}),
-)
-
-_HOROWITZ45_INT8 = replace(
-    _HOROWITZ45,
-    name="horowitz45-int8",
-    provenance="8-bit weights, 32-bit sums in registers, one weight fetched from an 8 KB SRAM per "
-    "operation, the best case; neuron updates derived as for horowitz45, with 32-bit integers",
-    joules=_prices(
-        {
-            "mac": _MULTIPLY8 + ADDITION + sram(8),
-            "sop": ADDITION + sram(8),
-            "neuron_update": 2 * MULTIPLICATION + 3 * ADDITION + 4 * sram(32),
-            "state_write": sram(32),
-        }
-    ),
-)
-
-
-def _scattered_memory_table(bits: int) -> EnergyTable:
-    """The table horowitz45-int8 of pruned networks, with what each operation finds by an index.
-
-    A spike's list names neurons, whose sums are in memory: the weight, its index, and the sum read
-    and written. A float unit's list names inputs, and its sum stays in a register: the weight, its
-    index, and the input read. The sum is the current of a neuron, or the membrane of one without a
-    current, so an update has one addition less than in horowitz45-int8.
-
-    bits: of the sums, and of all states of neurons.
-    """
-    index = sram(8)  # of one among 256 neurons, or inputs
-    return replace(
-        _HOROWITZ45_INT8,
-        name=f"horowitz45-int8-acc{bits}",
-        provenance=f"as horowitz45-int8, for pruned networks: an 8-bit index of each weight; a "
-        f"synaptic operation reads and writes a sum of {bits} bits, a multiply-accumulate reads "
-        f"its input of 8 bits and keeps its sum in a register; states of {bits} bits; all in an "
-        "8 KB SRAM",
-        joules=_prices(
-            {
-                "mac": _MULTIPLY8 + ADDITION + sram(8) + index + sram(8),
-                "sop": ADDITION + sram(8) + index + 2 * sram(bits),
-                "graded_sop": _MULTIPLY8 + ADDITION + sram(8) + index + 2 * sram(bits),
-                "neuron_update": 2 * MULTIPLICATION + 2 * ADDITION + 4 * sram(bits),
-                "one_state_update": MULTIPLICATION + 2 * sram(bits),
-                "state_write": sram(bits),
-            }
-        ),
-        uncertainty=Uncertainty(
-            0.0,
-            math.inf,
-            "control and larger memories add to it, registers instead of an SRAM take off",
-        ),
-        least=frozenset(),
-    )
-
-
-TABLES: dict[str, EnergyTable] = {
-    **{name: _read_table(name) for name in _PUBLISHED["tables"]},
-    **{
-        t.name: t
-        for t in (
-            _HOROWITZ45,
-            _HOROWITZ45_INT8,
-            _scattered_memory_table(16),
-            _scattered_memory_table(32),
-        )
-    },
-}
+TABLES: dict[str, EnergyTable] = {name: _read_table(name) for name in _PUBLISHED["tables"]}
 
 # chip -> its published static powers; a chip that is not here has none
 STATIC: dict[str, tuple[StaticPower, ...]] = {

@@ -9,19 +9,17 @@ a core of its own; `placed_messages` counts them where layers take several.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.ledger import EVENTS, Counts, Ledger
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 
 
-@dataclass(frozen=True)
-class MemoryTraffic:
-    """Reads and writes of a layer in all inferences of a ledger.
+def memory_traffic(ledger: Ledger, program: Program) -> dict[str, dict[str, int]]:
+    """Reads and writes of each layer in all inferences of a ledger.
 
     weight_reads: one weight for each synaptic operation, those of biases included.
     state_reads: every state variable of every neuron in every timestep.
@@ -30,39 +28,24 @@ class MemoryTraffic:
     accumulator_accesses: reads and writes of the sums that synaptic operations add to, one of each,
         where those are in memory and not in registers; the bits do not include them.
     """
-
-    weight_reads: int
-    state_reads: int
-    state_writes: int
-    read_bits: int
-    write_bits: int
-    accumulator_accesses: int
-
-
-def memory_counts(ledger: Ledger, program: Program) -> Counts:
-    """Counts (S, L, K) of each row and layer of the ledger; K are the fields of MemoryTraffic."""
     arithmetic = program.chip.arithmetic
     states = arithmetic.state_bits
-    event = {name: ledger.counts[:, :, kind] for kind, name in enumerate(EVENTS)}
-    weights = event["sop"] + event["bias_sop"]
-    reads = event["neuron_update"] + event["neuron_idle"]
-    columns = {
-        "weight_reads": weights,
-        "state_reads": reads * len(states),
-        "state_writes": event["neuron_update"] * len(states),
-        "read_bits": weights * arithmetic.weight_bits + reads * sum(states),
-        "write_bits": event["neuron_update"] * sum(states),
-        "accumulator_accesses": 2 * weights,
-    }
-    return np.stack([columns[field.name] for field in fields(MemoryTraffic)], axis=2)
-
-
-def memory_traffic(ledger: Ledger, program: Program) -> dict[str, MemoryTraffic]:
-    """Reads and writes of each layer in all inferences."""
-    totals = memory_counts(ledger, program).sum(axis=0)
-    return {
-        name: MemoryTraffic(*row.tolist()) for name, row in zip(ledger.layers, totals, strict=True)
-    }
+    totals = ledger.counts.sum(axis=0, dtype=np.int64)
+    found = {}
+    for name, row in zip(ledger.layers, totals.tolist(), strict=True):
+        event = dict(zip(EVENTS, row, strict=True))
+        weights = event["sop"] + event["bias_sop"]
+        updates = event["neuron_update"]
+        reads = updates + event["neuron_idle"]
+        found[name] = {
+            "weight_reads": weights,
+            "state_reads": reads * len(states),
+            "state_writes": updates * len(states),
+            "read_bits": weights * arithmetic.weight_bits + reads * sum(states),
+            "write_bits": updates * sum(states),
+            "accumulator_accesses": 2 * weights,
+        }
+    return found
 
 
 def packed_bytes(program: Program) -> float:
@@ -93,29 +76,19 @@ def placed_messages(ledger: Ledger, program: Program, cores: Mapping[str, int]) 
     return found / max(ledger.inferences, 1)
 
 
-# what the host computes for readout layers that a chip has no way out for
+def host_work(program: Program, spikes: Mapping[str, NDArray[Any]]) -> dict[str, int]:
+    """Operations of the host for readout layers that a chip has no way out for; empty of none.
 
-
-@dataclass(frozen=True)
-class HostWork:
-    """Operations of the host, in float64; no table of energies has a price for them.
+    In float64; no table of energies has a price for them.
 
     multiplications: a current or a membrane times its decay factor, where that is neither 0 nor 1,
         and a weight times a graded spike.
     additions: a weight for each spike and synapse, biases, and currents onto membranes.
-    """
-
-    multiplications: int
-    additions: int
-
-
-def host_work(program: Program, spikes: Mapping[str, NDArray[Any]]) -> HostWork | None:
-    """Count the host's work in inferences; None where it integrates nothing.
 
     spikes: (B, T, N) of the input and of each layer that can spike.
     """
     if not program.host:
-        return None
+        return {}
     batch, timesteps, _ = spikes[program.input].shape
     multiplications = additions = 0
     for layer in program.host:
@@ -130,4 +103,4 @@ def host_work(program: Program, spikes: Mapping[str, NDArray[Any]]) -> HostWork 
             arriving = int((sent * synapses.fan_out).sum())
             additions += arriving
             multiplications += arriving * graded
-    return HostWork(multiplications, additions)
+    return {"multiplications": multiplications, "additions": additions}

@@ -13,7 +13,7 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.runtime.traces.fields import Fields
 from spikedeploy.runtime.traces.verify import Difference, Verdict
 

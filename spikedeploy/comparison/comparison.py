@@ -27,13 +27,8 @@ from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by
 from spikedeploy.policies.registry import BASELINES, UNTRAINED
 from spikedeploy.runtime.chips.damage import sum_damage
 from spikedeploy.runtime.emulator.running_network import chip_or_float
-from spikedeploy.runtime.metrics.energy import (
-    BREAK_EVEN_TABLES,
-    STATIC,
-    TABLES,
-    break_even_sops,
-    static_energy,
-)
+from spikedeploy.runtime.metrics.energy import BREAK_EVEN_TABLES, break_even_sops, static_energy
+from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
 from spikedeploy.setup import Setup
 
 _AGREEMENT = (

@@ -36,12 +36,12 @@ from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine
 from spikedeploy.runtime.graph.ports import ports, split
 from spikedeploy.runtime.metrics.energy import (
-    STATIC,
     EnergyEstimate,
     energy_estimate,
     energy_table,
     static_energy,
 )
+from spikedeploy.runtime.metrics.energy_tables import STATIC
 
 _FLOAT_ROWS = 64  # timesteps that the float twin computes at once
 

@@ -2,7 +2,7 @@
 
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,6 @@ from spikedeploy.runtime.errors import ArtifactError, ObservationError, RuleErro
 from spikedeploy.runtime.files import replacing, suffix
 from spikedeploy.runtime.graph.ports import by_port, ports, split
 from spikedeploy.runtime.metrics.energy import (
-    STATIC,
-    TABLES,
     TIME_MODELS,
     EnergyEstimate,
     energy_estimate,
@@ -31,8 +29,9 @@ from spikedeploy.runtime.metrics.energy import (
     latency_estimate,
     static_energy,
 )
-from spikedeploy.runtime.metrics.neurobench import NeuroBench, neurobench
-from spikedeploy.runtime.metrics.traffic import HostWork, MemoryTraffic, host_work, memory_traffic
+from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
+from spikedeploy.runtime.metrics.neurobench import neurobench
+from spikedeploy.runtime.metrics.traffic import host_work, memory_traffic
 
 # bytes of a neuron in a timestep: current, membrane and spike, while running and recorded
 _STATE = 48
@@ -84,26 +83,26 @@ class Measures:
     memory: layer -> weights and states read and written
     latencies: energy table -> [s]; for a Xylo from its clock cycles
     static: energy table -> [J] of static power in that time, where it is known
-    host: operations of the host for readouts that the chip has no way out for, or None
+    host: operations of the host for readouts that the chip has no way out for; empty of none
     """
 
-    neurobench: NeuroBench
+    neurobench: Mapping[str, Any]
     events: Mapping[str, Mapping[str, int]]
-    memory: Mapping[str, MemoryTraffic]
+    memory: Mapping[str, Mapping[str, int]]
     latencies: Mapping[str, EnergyEstimate]
     static: Mapping[str, float]
-    host: HostWork | None = None
+    host: Mapping[str, int] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """All measurements as plain data."""
         return {
-            "neurobench": self.neurobench.as_json(),
+            "neurobench": dict(self.neurobench),
             "events": {name: dict(each) for name, each in self.events.items()},
-            "memory": {name: asdict(each) for name, each in self.memory.items()},
+            "memory": {name: dict(each) for name, each in self.memory.items()},
             "latency_s": {name: each.value for name, each in self.latencies.items()},
             "latency_interval_s": {n: [each.low, each.high] for n, each in self.latencies.items()},
             "static_energy_j": dict(self.static),
-            "host": asdict(self.host) if self.host else None,
+            "host": dict(self.host) or None,
         }
 
 

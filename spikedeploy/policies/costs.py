@@ -23,7 +23,6 @@ from spikedeploy.runtime.codec.rate import RateEncoder
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import Ledger, state_count
 from spikedeploy.runtime.metrics.energy import (
-    TABLES,
     EnergyEstimate,
     addition_energy,
     delta_encoder,
@@ -39,7 +38,7 @@ from spikedeploy.runtime.metrics.energy import (
     reset_energy,
     unpriced_terms,
 )
-from spikedeploy.runtime.metrics.energy_tables import EnergyTable
+from spikedeploy.runtime.metrics.energy_tables import TABLES, EnergyTable
 from spikedeploy.runtime.metrics.neurobench import (
     connection_sparsity,
     dense_products,

@@ -23,7 +23,8 @@ from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
-from spikedeploy.runtime.metrics.energy import TABLES, energy_estimate
+from spikedeploy.runtime.metrics.energy import energy_estimate
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 VERSION = 1
 # bytes of a request besides its observation, and of each number in it

@@ -38,7 +38,7 @@ from spikedeploy.reports.table import COMMON_TABLE, Column, Row, Table, escape_m
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.quantisation import PLAIN
 from spikedeploy.runtime.files import as_text, write_text
-from spikedeploy.runtime.metrics.energy import describe_table, energy_table
+from spikedeploy.runtime.metrics.energy import energy_table
 from spikedeploy.trainers.versions import own, versions
 
 Document = Mapping[str, Any]
@@ -111,7 +111,7 @@ def _disturbances(comparison: Comparison) -> list[dict[str, Any]]:
 
 def _energy_tables(rows: Sequence[Row]) -> dict[str, str]:
     names = dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
-    return {name: describe_table(energy_table(name)) for name in names}
+    return {name: energy_table(name).describe() for name in names}
 
 
 def recordings(

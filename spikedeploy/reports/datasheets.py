@@ -8,14 +8,10 @@ from spikedeploy.reports.table import ABSENT, COMMON_TABLE, Table, format_si
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
 from spikedeploy.runtime.metrics.energy import (
     BREAK_EVEN_TABLES,
-    STATIC,
-    TABLES,
     YAN2024,
-    EnergyTable,
-    Uncertainty,
     break_even_rate,
-    describe_certainty,
 )
+from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES, EnergyTable, Uncertainty
 
 _PICO, _NANO = 1e-12, 1e-9
 _STEP, _THOUSAND = 0.02, 1_000  # a control step [s], operations
@@ -164,7 +160,7 @@ def _overview_row(table: EnergyTable) -> tuple[str, ...]:
         table.name,
         ", ".join(_chips_of(table)) or ABSENT,
         ", ".join(f"{event} {price}" for event, price in energies.items()),
-        f"{describe_certainty(table)}: {table.uncertainty.why}",
+        f"{table.certainty}: {table.uncertainty.why}",
         ", ".join(times) if table.timed else ABSENT,
         _time_certainty(table) if table.timed else ABSENT,
     )
@@ -211,7 +207,7 @@ def energy_sheet(table: EnergyTable) -> Iterator[Table]:
         ("chips", ", ".join(_chips_of(table)) or "none"),
         ("source", table.source),
         ("provenance", table.provenance),
-        ("energy is", f"{describe_certainty(table)}: {table.uncertainty.why}"),
+        ("energy is", f"{table.certainty}: {table.uncertainty.why}"),
     ]
     if table.timed:
         facts.append(("time is", _time_certainty(table)))

@@ -8,7 +8,7 @@ import pytest
 from lab.experiments import students
 from lab.experiments.runner import Record
 from lab.experiments.students import PRICES, facts_of_policy, facts_of_task, threshold
-from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.trainers.train import train
 from tests.paths import ROOT
 

@@ -311,8 +311,11 @@ def sized(kernel, shape, padding=0):
 @pytest.mark.parametrize(
     ("network", "message"),
     [
-        (named_chain([3000, 3000], [9000000], a=flat), "put out 18000000"),
-        (sized((300, 300), (1, 600, 600)), "windows hold 8154090000 values; at most 67108864"),
+        (named_chain([3000, 3000], [9000000], a=flat), "18000000 values are put out"),
+        (
+            sized((300, 300), (1, 600, 600)),
+            "8154090000 values in its windows",
+        ),
         (sized((999, 999), (1, 1100, 1100), 500), "multiplications in a timestep; at most"),
     ],
     ids=["numbers", "windows", "multiplications"],

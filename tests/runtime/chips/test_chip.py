@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from spikedeploy.runtime.chips.chip import CHIPS, chip
-from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 NAMES = sorted(CHIPS)
 

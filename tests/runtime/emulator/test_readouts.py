@@ -143,8 +143,8 @@ def test_chips_without_a_way_out_leave_readouts_to_the_host_and_say_so(name, neu
     # of 3 x 25 timesteps: a product for each readout; additions by the synapses of each spike
     spikes = {"input": events(), "hidden": machine.recordings["hidden"].spikes}
     work = host_work(program, spikes)
-    assert work.multiplications == 75 * ACTIONS
-    assert work.additions == sum(
+    assert work["multiplications"] == 75 * ACTIONS
+    assert work["additions"] == sum(
         (spikes[s.source].sum(axis=(0, 1)) * np.count_nonzero(s.weight, axis=1)).sum()
         for s in program.host[0].synapses
     )

@@ -105,7 +105,9 @@ def test_measures_and_analysis_take_it_as_they_take_any_chip():
     program = compile_program(network(), chip("toy"))
     machine = Machine(program, 2)
     machine.infer(raster)
-    assert all(layer.weight_reads > 0 for layer in memory_traffic(machine.ledger, program).values())
+    assert all(
+        layer["weight_reads"] > 0 for layer in memory_traffic(machine.ledger, program).values()
+    )
     found = drift(network(), chip("toy"), raster)
     assert [layer.neurons for layer in found.layers] == [3, 3]
     assert found.ablation == ()

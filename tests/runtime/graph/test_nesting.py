@@ -73,7 +73,7 @@ def test_several_ways_in_and_out_are_sums():
 @pytest.mark.parametrize(
     ("edges", "message"),
     [
-        ([("input", "lif"), ("lif", "output")], r"in node 'n1': edge 'input' -> 'lif': .*no node"),
+        ([("input", "lif"), ("lif", "output")], r"in node 'n1': edge 'input' -> 'lif' .*no node"),
         (
             [("input", "cell"), ("cell", "output"), ("output", "cell")],
             "in node 'n1': .* out of an O",

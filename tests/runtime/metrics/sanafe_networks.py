@@ -14,7 +14,8 @@ from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.metrics.energy import TABLES, cost, event_counts
+from spikedeploy.runtime.metrics.energy import cost, event_counts
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 Weights = NDArray[Any]
 

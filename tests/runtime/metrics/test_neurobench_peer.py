@@ -119,7 +119,7 @@ def theirs(tool, model, spikes):
 @pytest.mark.parametrize("biased", [True, False])
 def test_every_number_of_neurobench_is_reproduced_exactly(tool, reset, biased):
     artifact = network(reset, biased)
-    found = measured(compile_program(artifact, IDEAL), artifact.graph, raster()).as_json()
+    found = measured(compile_program(artifact, IDEAL), artifact.graph, raster())
     assert found.pop("Footprint_packed") > 0
     wanted = theirs(tool, torch_twin(artifact), raster())
     assert found == wanted
@@ -142,7 +142,7 @@ def test_the_numbers_of_bytes_on_a_chip_are_those_of_neurobench(tool):
     graph = chain(nir.Linear(weight), neurons, width=20, act=12)
     file = Artifact(graph, None, Convention(DT))
     program = neurons_of(weight.T.astype(np.int16), threshold=150)
-    found = measured(program, graph, raster()).as_json()
+    found = measured(program, graph, raster())
     assert found["Footprint_packed"] == 20 * 12
     # bytes cannot be multiplied by torch: they are counted as bytes, and run as floats
     counted = theirs(tool, torch_twin(file), raster())
@@ -192,7 +192,7 @@ def test_a_loop_is_counted_as_neurobench_counts_it(tool):
         def reset(self):
             self.n2.reset_mem()
 
-    found = measured(compile_program(artifact, IDEAL), artifact.graph, raster()).as_json()
+    found = measured(compile_program(artifact, IDEAL), artifact.graph, raster())
     wanted = theirs(tool, SNNTorchModel(Twin()), raster())
     # it has no operations for a neuron with a loop
     assert wanted.pop("NeuronOperations") == 0
@@ -248,7 +248,7 @@ def test_a_convolutional_network_on_a_chip_has_neurobenchs_numbers(tool):
     artifact = convolutional()
     spikes = (np.random.default_rng(1).random((4, 16, 1, 6, 6)) < 0.3).astype(np.uint8)
     program = compile_program(artifact, IDEAL)
-    found = measured(program, artifact.graph, spikes.reshape(4, 16, 36)).as_json()
+    found = measured(program, artifact.graph, spikes.reshape(4, 16, 36))
     del found["Footprint_packed"]
     wanted = theirs(tool, torch_twin(artifact), spikes)
     assert found == wanted

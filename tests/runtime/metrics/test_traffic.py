@@ -10,7 +10,6 @@ from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.metrics.traffic import (
-    MemoryTraffic,
     memory_traffic,
     placed_messages,
 )
@@ -40,7 +39,7 @@ def test_a_synaptic_operation_reads_a_weight_and_an_update_writes_both_states():
     # 2 and 3 weights of 8 bits; 9 neuron-timesteps look at a current and a membrane of 24 bits;
     # two neurons are updated in the second timestep and all three in the third
     assert found == {
-        "n": MemoryTraffic(
+        "n": dict(
             weight_reads=5,
             state_reads=18,
             state_writes=10,

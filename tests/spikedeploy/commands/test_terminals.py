@@ -18,7 +18,7 @@ from spikedeploy.play.display import check_driver
 from spikedeploy.reports.table import Table
 from spikedeploy.runtime.chips.chip import CHIPS, chip
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.metrics.energy import TABLES
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
 from tests import toy_stroll_env
 from tests.paths import ROOT

@@ -11,7 +11,8 @@ from spikedeploy.envs import ENVS
 from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import markdown_tables, tables
 from spikedeploy.reports.table import ABSENT
-from spikedeploy.runtime.metrics.energy import ON_CHIP, TABLES
+from spikedeploy.runtime.metrics.energy import ON_CHIP
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from tests import toy_stroll_env
 
 INT8 = "horowitz45-int8"

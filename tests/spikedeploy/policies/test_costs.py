@@ -17,7 +17,8 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check as check_on
 from spikedeploy.runtime.emulator.ledger import state_count
 from spikedeploy.runtime.float_model import FloatGraph
-from spikedeploy.runtime.metrics.energy import ON_CHIP, TABLES, TERMS, EnergyEstimate, mac_energy
+from spikedeploy.runtime.metrics.energy import ON_CHIP, TERMS, EnergyEstimate, mac_energy
+from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.runtime.metrics.neurobench import dense_operations
 from tests import toy_stroll_env
 
