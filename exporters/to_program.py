@@ -29,9 +29,9 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import State
 from spikedeploy.runtime.emulator.interpreter import Interpreter, LayerTrace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.programs import program_record
 from spikedeploy.runtime.files import read_toml
-from spikedeploy.runtime.traces.verify import QUANTITIES
+from spikedeploy.runtime.traces.programs import program_record
+from spikedeploy.runtime.traces.verdict import QUANTITIES
 
 MARK = "spikedeploy export --to program"
 PROGRAM, EXPECTED, EPISODE = "program.json", "expected.json", "episode.npz"

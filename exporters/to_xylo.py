@@ -14,8 +14,8 @@ from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.tool_traces import xylo_trace
 from spikedeploy.runtime.traces.fields import Fields
+from spikedeploy.runtime.traces.layered import xylo_trace
 
 MARK = "spikedeploy export --to xylo"
 

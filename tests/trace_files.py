@@ -1,9 +1,8 @@
 """Recorded traces read in the two calls that `verify` makes."""
 
-from spikedeploy.runtime.traces.fields import read_json
-from spikedeploy.runtime.traces.verify import trace_in
+from spikedeploy.runtime.traces.verify import read_trace
 
 
 def recorded_trace(path):
     """The trace in a file, checked."""
-    return trace_in(read_json(path), path.stem)
+    return read_trace(path)

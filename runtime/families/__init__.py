@@ -8,6 +8,4 @@ xylo                  Xylo: events one by one, states that saturate, decays by s
 numba_xylo            its compiled kernel
 numba_frame           the compiled frame of all families; numba_pipeline is its backend
 integrate_and_fire    no synaptic current: TrueNorth, Speck, ODIN, tinyODIN, Spiker
-programs              programs of all of them as plain numbers, and recorded runs of such programs
-tool_traces           recorded runs as tools write them: of Loihi's emulators, xylosim, Spiker+
 """

@@ -1,8 +1,11 @@
 """Traces: recorded runs of other emulators or boards, replayed and compared.
 
-The readers of each family's traces stand in its folder; here is what all have in common.
-
-verify           a trace file, its replay on our arithmetic, and the first number that differs
-sanafe           counts and energies of SANA-FE, against our ledger
-fields           a JSON object read by name, and how much a replay may compute
+verify     a trace file and the verdict on it
+verdict    what a recorded run is, its replay, and the first number that differs
+fields     a JSON object read by name
+layered    runs of layers: Loihi's emulators and boards, xylosim, Spiker+'s RTL
+crossbar   ODIN and tinyODIN, event by event
+speck      networks for Speck, in timesteps and event by event
+sanafe     counts and energies of SANA-FE, against our ledger
+programs   exported programs as plain numbers, and their recorded runs
 """

@@ -1,12 +1,8 @@
-"""A JSON object of another program, read by name, with errors that name the field.
-
-`Work` sums up what a replay computes, layer by layer, before anything of it is allocated.
-"""
+"""A JSON object of another program, read by name, with errors that name the field."""
 
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +14,11 @@ from spikedeploy.runtime.files import read_text
 
 Integers = NDArray[np.int64]
 
-# JSON numbers that float64 holds exactly
-_EXACT = 1 << 53
+_EXACT = 1 << 53  # JSON numbers below are exact in float64
 _HUGE = 1e300
-_KINDS = {int, float, bool}  # of numbers in JSON
-# what a trace needs at most; a file of more would take hours or all memory
-_MOST_FIELDS = 1000
+_NUMBERS = {int, float, bool}
 _MOST_LAYERS = 256
 _SHOWN = 5  # names in a message
-_MOST_READ = 1 << 24  # numbers; those that layers share are read for each layer
 
 
 def read_json(path: Path) -> "Fields":
@@ -35,11 +27,11 @@ def read_json(path: Path) -> "Fields":
         found = json.loads(read_text(path, "utf-8-sig"))
     except UnicodeDecodeError as error:
         raise TraceError(
-            f"{path}: this is not a text file. A trace is JSON, as docs/traces.md shows."
+            f"{path}: not a text file. A trace is JSON, see docs/traces.md."
         ) from error
     except (ValueError, RecursionError) as error:
         reason = str(error) or type(error).__name__
-        raise TraceError(f"{path}: this is not JSON: {reason}. Write the trace again.") from error
+        raise TraceError(f"{path}: not JSON: {reason}. Write the trace again.") from error
     return Fields(found, path.name)
 
 
@@ -51,21 +43,13 @@ class Fields:
     assumed: what was taken for fields that are missing, as in "refractory 1", in order.
     """
 
-    def __init__(self, found: object, where: str, read: list[int] | None = None) -> None:
+    def __init__(self, found: object, where: str) -> None:
         if not isinstance(found, Mapping):
-            raise TraceError(
-                f"{where}: expected an object {{...}}, found {type(found).__name__}. A trace file "
-                "is an object with the fields that docs/traces.md lists."
-            )
-        if len(found) > _MOST_FIELDS:
-            raise TraceError(
-                f"{where}: there are {len(found)} fields. Write {_MOST_FIELDS} at most."
-            )
+            raise TraceError(f"{where}: expected an object {{...}}, found {type(found).__name__}.")
         self._found = {str(key): value for key, value in found.items() if value is not None}
         self.where = where
         self.unread = set(self._found)
         self.assumed = list[str]()
-        self._read = [0] if read is None else read  # numbers so far, of all objects of a file
 
     def __contains__(self, name: str) -> bool:
         return name in self._found
@@ -83,14 +67,14 @@ class Fields:
         hidden = {*spellings, *(spellings.values() if alone else ())}
         kept = {name: value for name, value in self._found.items() if name not in hidden}
         renamed = {ours: self._found[name] for name, ours in spellings.items() if name in self}
-        return Fields(kept | renamed, self.where, self._read)
+        return Fields(kept | renamed, self.where)
 
     def merged_with(self, *others: "Fields", where: str = "") -> "Fields":
         """Return these fields and those of the others, which go before."""
         everything: dict[str, object] = {}
         for each in (self, *others):
             everything.update(each._found)
-        return Fields(everything, where or self.where, self._read)
+        return Fields(everything, where or self.where)
 
     def layers(self) -> list["Fields"]:
         """Return the fields of each layer, and those that the file gives for all layers."""
@@ -110,9 +94,9 @@ class Fields:
             self.assume(name, default)
         return found or default
 
-    def choice(self, name: str, choices: Sequence[str]) -> str:
-        """Return the text called `name`, one of the choices; the first where there is none."""
-        if (found := self.text(name, choices[0])) not in choices:
+    def choice(self, name: str, choices: Sequence[str], default: str = "") -> str:
+        """Return the text called `name`, one of the choices; the default where there is none."""
+        if (found := self.text(name, default)) not in choices:
             raise self.wrong(name, f"is {found[:40]!r}", f"Write one of {', '.join(choices)}.")
         return found
 
@@ -123,11 +107,10 @@ class Fields:
             self.assume(name, "none")
         return found
 
-    def flag(self, name: str, default: bool | None = None) -> bool | None:
+    def flag(self, name: str, default: bool) -> bool:
         """Return the true or false called `name`; the default where it is missing."""
         if name not in self:
-            if default is not None:
-                self.assume(name, str(default).lower())
+            self.assume(name, str(default).lower())
             return default
         found = self._take(name)
         if not isinstance(found, bool):
@@ -136,15 +119,14 @@ class Fields:
 
     def group(self, name: str) -> "Fields":
         """Return the object called `name`; empty where there is none."""
-        found = self._take(name) if name in self else {}
-        return Fields(found, f"{self.where}: {name}", self._read)
+        return Fields(self._take(name) if name in self else {}, f"{self.where}: {name}")
 
     def groups(self, name: str) -> list["Fields"]:
         """Return the list of objects called `name`."""
         found = self.rows(name)
-        if not found or len(found) > _MOST_LAYERS:
+        if not 1 <= len(found) <= _MOST_LAYERS:
             raise self.wrong(name, f"has {len(found)}", f"Write a list of 1 to {_MOST_LAYERS}.")
-        return [Fields(o, f"{self.where}: {name}[{k}]", self._read) for k, o in enumerate(found)]
+        return [Fields(each, f"{self.where}: {name}[{k}]") for k, each in enumerate(found)]
 
     def rows(self, name: str) -> list[Any]:
         """Return the list called `name`, of anything; it may be empty."""
@@ -153,41 +135,32 @@ class Fields:
             raise self.wrong(name, f"is {_short(found)}", "Write a list.")
         return found
 
-    def lists(self, name: str, *, least: int, most: int) -> tuple[tuple[int, ...], ...]:
-        """Return lists of whole numbers within a range, of any lengths."""
+    def lists(self, name: str, *, count: int, most: int) -> list[list[int]]:
+        """Return lists of whole numbers from 0 to `most`, of any lengths; there must be `count`."""
         found = self.rows(name)
+        if len(found) != count:
+            raise self.wrong(name, f"has {len(found)} lists", f"Write {count}.")
         for each in found:
-            if not isinstance(each, list):
-                raise self.wrong(name, f"is {_short(found)}", "Write a list of lists.")
-            if wrong := [x for x in each if type(x) is not int or not least <= x <= most]:
-                remedy = f"Write whole numbers within {least} and {most}."
-                raise self.wrong(name, f"holds {_short(wrong[0])}", remedy)
-        return tuple(map(tuple, found))
-
-    def numbers(self, *names: str) -> dict[str, float]:
-        """Return those of the finite numbers that are there, by name."""
-        found = {name: self._take(name) for name in names if name in self}
-        for name, value in found.items():
-            if type(value) not in (int, float) or not -_HUGE < value < _HUGE:
-                raise self.wrong(name, f"is {_short(value)}", "Write a finite number.")
+            if not isinstance(each, list) or any(
+                type(x) is not int or not 0 <= x <= most for x in each
+            ):
+                remedy = f"Write lists of whole numbers within 0 and {most}."
+                raise self.wrong(name, f"holds {_short(each)}", remedy)
         return found
 
-    def floats(self, name: str, size: int) -> NDArray[np.float64]:
-        """Return (size,) finite numbers."""
-        found = self._take(name)
-        if not isinstance(found, list) or len(found) != size:
-            raise self.wrong(name, f"is {_short(found)}", f"Write a list of {size} numbers.")
+    def floats(self, name: str, size: int | None = None) -> NDArray[np.float64]:
+        """Return (size,) finite numbers; without a size a single one."""
+        value = self._take(name)
+        found = value if size is not None else [value]
+        if not isinstance(found, list) or len(found) != (size or 1):
+            raise self.wrong(name, f"is {_short(value)}", f"Write a list of {size} numbers.")
         if not all(type(each) in (int, float) and -_HUGE < each < _HUGE for each in found):
-            raise self.wrong(name, f"holds {_short(found)}", "Write finite numbers.")
-        self._count(name, found)
+            raise self.wrong(name, f"is {_short(value)}", "Write finite numbers.")
         return np.array(found, np.float64)
 
     def integer(self, name: str, *, default: int, least: int, most: int) -> int:
         """Return a single whole number within its range."""
-        if name not in self:
-            self.assume(name, default)
-            return default
-        return int(self.array(name, axes=0, least=least, most=most))
+        return int(self.row(name, size=1, default=default, least=least, most=most)[0])
 
     def row(
         self, name: str, *, size: int, default: int | None = None, least: int, most: int
@@ -217,11 +190,21 @@ class Fields:
 
     def array(self, name: str, *, axes: int, least: int, most: int) -> Integers:
         """Return whole numbers within a range, of at most so many axes."""
-        found = self._numbers(name)
+        value = self._take(name)
+        no_numbers = self.wrong(name, f"holds {_short(value)}", "Write whole numbers of 64 bits.")
+        try:
+            if not _is_numeric(value):
+                raise no_numbers
+            found = np.array(value)
+        except (ValueError, OverflowError, RecursionError):  # ragged, or too deep
+            raise self.wrong(name, "has rows of different lengths", "Write a full table.") from None
+        if found.dtype.kind == "f" and np.isfinite(found).all() and (found == np.rint(found)).all():
+            found = found if (np.abs(found) > _EXACT).any() else found.astype(np.int64)
+        if found.dtype.kind not in "biu" or not found.size:
+            raise no_numbers
         if found.ndim > axes:
             raise self.wrong(name, f"has shape {found.shape}", f"Write lists {axes} deep at most.")
-        outside = found[(found < least) | (found > most)]
-        if outside.size:
+        if (outside := found[(found < least) | (found > most)]).size:
             remedy = f"It must be within {least} and {most}."
             raise self.wrong(name, f"holds {outside.flat[0]}", remedy)
         return found.astype(np.int64)
@@ -232,47 +215,20 @@ class Fields:
 
     def _take(self, name: str) -> Any:  # noqa: ANN401
         if name not in self:
-            remedy = "Add it; docs/traces.md lists the fields of a trace."
-            raise self.wrong(name, "is missing", remedy)
+            raise self.wrong(name, "is missing", "Add it; docs/traces.md lists the fields.")
         self.unread.discard(name)
         return self._found[name]
 
-    def _count(self, name: str, value: object) -> None:
-        """Refuse what is no table of numbers, or one more than can be read."""
-        count = _counted(value)
-        if count is None:
-            raise self.wrong(name, f"holds {_short(value)}", "Write whole numbers of 64 bits.")
-        self._read[0] += count
-        if self._read[0] > _MOST_READ:
-            raise self.wrong(name, f"makes {self._read[0]} numbers in all layers", "Record less.")
 
-    def _numbers(self, name: str) -> NDArray[Any]:
-        value = self._take(name)
-        try:
-            self._count(name, value)
-            found = np.array(value)
-        except (ValueError, OverflowError, RecursionError):  # ragged, or too deep
-            raise self.wrong(name, "has rows of different lengths", "Write a full table.") from None
-        if found.dtype.kind == "f" and np.isfinite(found).all() and (found == np.rint(found)).all():
-            found = found if (np.abs(found) > _EXACT).any() else found.astype(np.int64)
-        if found.dtype.kind not in "biu" or not found.size:
-            raise self.wrong(name, f"holds {_short(value)}", "Write whole numbers of 64 bits.")
-        return found.astype(np.int64) if found.dtype.kind == "b" else found
-
-
-def _counted(value: object) -> int | None:
-    """Number of numbers in lists of lists; None where there is anything else.
+def _is_numeric(value: object) -> bool:
+    """Return True for numbers in lists of lists.
 
     NumPy gives every text of an array the length of the longest, which may be terabytes.
     """
     if not isinstance(value, list):
-        return 1 if type(value) in _KINDS else None
+        return type(value) in _NUMBERS
     kinds = set(map(type, value))
-    if kinds <= _KINDS:
-        return len(value)
-    counts = [_counted(each) for each in value] if kinds <= {*_KINDS, list} else [None]
-    # an empty list costs a place too
-    return None if None in counts else sum(each or 1 for each in counts)
+    return kinds <= _NUMBERS or (kinds <= {*_NUMBERS, list} and all(map(_is_numeric, value)))
 
 
 def escape(text: str, most: int = 80) -> str:
@@ -290,60 +246,3 @@ def shown_names(names: Sequence[str]) -> str:
 def _short(value: object) -> str:
     found = repr(value)
     return found if len(found) <= 40 else f"{found[:40]}…"
-
-
-# what a replay computes at most, together about five seconds of one core and 500 MB; axons and
-# aliases are taken one by one
-MOST = {
-    "layers times timesteps": 1 << 15,
-    "neurons times timesteps": 1 << 22,
-    "neurons": 1 << 17,
-    "synapses times timesteps": 1 << 27,
-    "axons and aliases times timesteps": 1 << 17,
-}
-_MOST_SPIKES = 1 << 16  # of the input, each an event of its own
-MOST_NUMBERS = 1 << 24  # membranes after each event of a crossbar
-
-
-@dataclass
-class Work:
-    """The work of a replay of so many timesteps.
-
-    spec: the fields, for messages.
-    inference: timesteps of each of those that are computed side by side; 0 where there is one.
-    """
-
-    spec: Fields
-    timesteps: int
-    inference: int = 0
-    layers: int = 0
-    neurons: int = 0
-    synapses: int = 0
-    axons: int = 0
-
-    def add(self, neurons: int, synapses: int, axons: int = 0) -> None:
-        """Add another layer; refused where the replay would take too long.
-
-        axons: those whose events a chip adds one after another, and aliases.
-        """
-        self.layers += 1
-        self.neurons, self.synapses = self.neurons + neurons, self.synapses + synapses
-        self.axons += axons
-        turns, rows = self.inference or self.timesteps, self.timesteps
-        found = (
-            self.layers * turns,
-            self.neurons * rows,
-            self.neurons,
-            self.synapses * rows,
-            self.axons * turns,
-        )
-        for (what, most), number in zip(MOST.items(), found, strict=True):
-            if number > most:
-                remedy = f"At most {most} are replayed: record less, or in parts."
-                raise self.spec.wrong("replay", f"has {number} {what}", remedy)
-
-    def check_input(self, counts: Integers) -> None:
-        """Refuse more input spikes (T, M) than are replayed one by one."""
-        if (found := int(counts.sum())) > _MOST_SPIKES:
-            remedy = f"Record {_MOST_SPIKES} spikes at most."
-            raise self.spec.wrong("input_spikes", f"has {found} spikes", remedy)

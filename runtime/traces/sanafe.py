@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.runtime.traces.fields import Fields
-from spikedeploy.runtime.traces.verify import Difference, Verdict
+from spikedeploy.runtime.traces.verdict import Difference, Verdict, nothing_to_compare
 
 _NUMBER = r"([1-9]\d{0,2})"
 _SETUP = re.compile(
@@ -41,23 +41,24 @@ _TOLERANCE = 1e-6
 
 def sanafe_verdict(fields: Fields, _: str) -> Verdict:
     """The verdict on SANA-FE's counts and energies, by our ledger and its table."""
-    setup = _SETUP.fullmatch(fields.text("setup").strip())
+    text = fields.text("setup").strip()
+    setup = _SETUP.fullmatch(text)
     if setup is None:
         raise TraceError(
-            f"{fields.where}: setup is {fields.text('setup')[:60]!r}, which cannot be read. "
-            "docs/traces.md has the sentence that can."
+            f"{fields.where}: setup is {text[:60]!r}, which cannot be read. docs/traces.md has the "
+            "sentence that can."
         )
     inputs, bits, neurons, steps = setup.groups()
     spikes = [int(bit) for bit in bits.split(",")]
-    if len(spikes) != int(steps):
-        raise fields.wrong("setup", f"has {len(spikes)} spikes", "Write one for each step.")
-    if int(inputs) * sum(spikes) << 6 > _NEVER:
-        remedy = "Neurons would spike; write fewer."
-        raise fields.wrong("setup", f"has {sum(spikes)} spikes", remedy)
+    if len(spikes) != int(steps) or int(inputs) * sum(spikes) << 6 > _NEVER:
+        remedy = "Write one for each step, and so few that no neuron spikes."
+        raise fields.wrong("setup", f"has {len(spikes)} steps, {sum(spikes)} of spikes", remedy)
     result = fields.group("result")
-    expected = {**result.numbers(*_COUNTS), **result.group("energy").numbers("total", *_ENERGIES)}
+    energy = result.group("energy")
+    known = [(result, name) for name in _COUNTS] + [(energy, n) for n in ("total", *_ENERGIES)]
+    expected = {name: float(group.floats(name)[0]) for group, name in known if name in group}
     if not expected:
-        raise TraceError(f"{fields.where}: there is nothing to compare. Record result.energy.")
+        raise nothing_to_compare(fields, ())
     found = _totals(_run(int(inputs), int(neurons), spikes))
     different = (
         Difference(None, None, None, name, value, found[name])
@@ -69,7 +70,7 @@ def sanafe_verdict(fields: Fields, _: str) -> Verdict:
         source=fields.text("source"),
         steps=len(spikes),
         compared=len(expected),
-        passed_over=len(result.numbers("sim_time")),
+        passed_over=int("sim_time" in result),
         why="time, of which ours is an upper bound",
         difference=next(different, None),
         unread=(),

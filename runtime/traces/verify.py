@@ -1,33 +1,18 @@
-"""Verify that a recorded run of an emulator or a chip is computed again, number by number.
-
-A reader makes a TraceFile of the fields: a program, its input, and what was recorded; the program
-is replayed; the verdict is the first number that differs. Readers stand beside the arithmetics.
-"""
+"""Verify that a recorded run of an emulator or a chip is computed again, number by number."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
-from dataclasses import asdict, dataclass
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import CHIPS
-from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.traces.fields import Fields, Integers, read_json, shown_names
-
-# layer -> quantity -> (T, N)
-Tables: TypeAlias = Mapping[str, Mapping[str, Integers]]
-
-# quantities of a layer, in the order in which a neuron computes them
-QUANTITIES = ("current", "current 2", "membrane after fire or leak", "membrane", "spikes")
-# states beyond this are no chip's
-STATE = 1 << 40
+from spikedeploy.runtime.traces.crossbar import crossbar_verdict
+from spikedeploy.runtime.traces.fields import Fields, read_json
+from spikedeploy.runtime.traces.layered import loihi_trace, spiker_trace, xylo_trace
+from spikedeploy.runtime.traces.programs import program_trace
+from spikedeploy.runtime.traces.sanafe import sanafe_verdict
+from spikedeploy.runtime.traces.speck import speck_verdict
+from spikedeploy.runtime.traces.verdict import TraceFile, Verdict, verdict_on
 
 # who wrote a trace, by what its name, source and kind say -> the chip as that tool models it
 _MAKERS = (
@@ -41,145 +26,37 @@ _MAKERS = (
     (r"loihi[ _-]?2", "loihi2"),
     (r"lava", "loihi1"),
 )
-_FAMILIES = "spikedeploy.runtime.families"
-_LOIHI = f"{_FAMILIES}.tool_traces:loihi_trace"
-_XYLO = f"{_FAMILIES}.tool_traces:xylo_trace"
-_CROSSBAR = f"{_FAMILIES}.integrate_and_fire.crossbar_traces:crossbar_verdict"
-# "module:function", which makes a TraceFile or, of what is replayed in another way, a Verdict
-_READERS = {
-    **dict.fromkeys(("loihi1", "loihi1-brian2", "loihi1-nengo", "loihi2"), _LOIHI),
-    **dict.fromkeys(("xylo-a2", "xylo-a3", "xylo-imu"), _XYLO),
-    **dict.fromkeys(("odin", "tinyodin"), _CROSSBAR),
-    "spiker": f"{_FAMILIES}.tool_traces:spiker_trace",
-    "sanafe": "spikedeploy.runtime.traces.sanafe:sanafe_verdict",
+_READERS: dict[str, Callable[[Fields, str], TraceFile | Verdict]] = {
+    **dict.fromkeys(("loihi1", "loihi1-brian2", "loihi1-nengo", "loihi2"), loihi_trace),
+    **dict.fromkeys(("xylo-a2", "xylo-a3", "xylo-imu"), xylo_trace),
+    **dict.fromkeys(("odin", "tinyodin"), crossbar_verdict),
+    "spiker": spiker_trace,
+    "sanafe": sanafe_verdict,
 }
-_SPECK = f"{_FAMILIES}.integrate_and_fire.speck_traces:speck_verdict"
-# of an exported program, on any of the chips that it can be exported for
-_EXPORTED = f"{_FAMILIES}.programs:program_trace"
 # letters of a text in which makers are looked for
 _MOST_PROSE = 1000
-# for readers, not compared
-PROSE = {
-    "name", "source", "kind", "note", "convention", "index", "trace_index", "input_spikes_index",
-    "check", "seed", "license", "licence", "chip", "steps", "params", "layers",
-}  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class TraceFile:
-    """A run that was recorded.
-
-    source: who recorded it.
-    program: what ran, on the chip as the source models it.
-    raster: (B, T, M) spikes that went in; counts where the chip takes several in a timestep. Each
-        of the B inferences begins from zero states.
-    recorded: (B T, N) tables, one inference behind the other; quantities as in QUANTITIES.
-    unread: fields that the reader does not use.
-    remarks: as in Verdict.
-    blind_at_spikes: True if membranes are not to be compared in timesteps with a spike.
-    replay: computes tables like the recorded ones; None is the interpreter, in its timesteps.
-    """
-
-    source: str
-    program: Program
-    raster: NDArray[np.uint8]
-    recorded: Tables
-    unread: tuple[str, ...]
-    remarks: tuple[str, ...] = ()
-    blind_at_spikes: bool = False
-    replay: Callable[[Program, NDArray[np.uint8]], Tables] | None = None
-
-
-@dataclass(frozen=True)
-class Difference:
-    """The first number that is not as recorded.
-
-    step: row of the trace, counted from 0.
-    layer, neuron: where it is; neurons are counted from 0. An event may stand for the layer, and
-        what an event is has no neuron.
-    quantity: one of QUANTITIES, or what was summed up over the run, which has no place.
-    expected, found: in the trace, and here; of events words.
-    """
-
-    step: int | None
-    layer: str | None
-    neuron: int | None
-    quantity: str
-    expected: float | str
-    found: float | str
-
-    def describe(self) -> str:
-        """Describe the difference in one line."""
-        neuron = "" if self.neuron is None else f"neuron {self.neuron}, "
-        place = "" if self.step is None else f"step {self.step}, {self.layer}, {neuron}"
-        return f"{place}{self.quantity}: expected {self.expected}, found {self.found}"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The result of replaying a trace.
-
-    chip: the one that it was replayed on.
-    source: who recorded it.
-    steps: T.
-    compared: numbers that were compared.
-    passed_over: recorded numbers that were not compared.
-    why: they were not; empty where all were.
-    difference: None where all numbers are equal.
-    unread: fields of the file that the reader does not use.
-    remarks: how it was replayed, where that is not plain; sentences.
-    """
-
-    chip: str
-    source: str
-    steps: int
-    compared: int
-    passed_over: int
-    why: str
-    difference: Difference | None
-    unread: tuple[str, ...]
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def equal(self) -> bool:
-        """True if every compared number is as recorded."""
-        return self.difference is None
-
-    def as_json(self) -> dict[str, Any]:
-        """Return all fields as plain data."""
-        return {"equal": self.equal, **asdict(self)}
 
 
 def verify(path: Path) -> Verdict:
     """Replay a trace file by the specification of the arithmetic."""
-    fields = read_json(path)
-    if "program" in fields:
-        # beside the file of its program
-        found: TraceFile | Verdict = _load(_EXPORTED)(fields, path.parent)
-    elif "format" in fields:
-        # beside its arrays
-        found = _load(_SPECK)(fields, path)
-    else:
-        found = trace_in(fields, path.stem)
+    found = read_trace(path)
     return found if isinstance(found, Verdict) else verdict_on(found)
 
 
-def trace_in(fields: Fields, stem: str) -> TraceFile | Verdict:
-    """The TraceFile in the fields of a file of that name; a Verdict where there is no program."""
-    name = _find_chip(fields, stem)
+def read_trace(path: Path) -> TraceFile | Verdict:
+    """The recorded run in a file; a Verdict where it is replayed in another way."""
+    fields = read_json(path)
+    if "program" in fields:  # an exported program, on any chip
+        return program_trace(fields, path.parent)
+    if "format" in fields:
+        return speck_verdict(fields, path)
+    name = _find_chip(fields, path.stem)
     if name not in _READERS:
         hint = "can be run but has no trace format" if name in CHIPS else "is not known"
         raise TraceError(
             f"{fields.where}: chip {name[:40]!r} {hint}. Traces may be of {', '.join(_READERS)}."
         )
-    found: TraceFile | Verdict = _load(_READERS[name])(fields, name)
-    return found
-
-
-def _load(entry: str) -> Callable[..., Any]:
-    module, attribute = entry.split(":")
-    found: Callable[..., Any] = getattr(import_module(module), attribute)
-    return found
+    return _READERS[name](fields, name)
 
 
 def _find_chip(fields: Fields, stem: str) -> str:
@@ -196,149 +73,3 @@ def _find_chip(fields: Fields, stem: str) -> str:
         f"{fields.where}: its source is {prose['source'][:60]!r}, and no emulator or chip is known "
         f"by that. Add a field chip; it may be {', '.join(_READERS)}."
     )
-
-
-# what readers share
-
-
-def layers_trace(
-    fields: Fields,
-    specs: Sequence[Fields],
-    program: Program,
-    counts: Integers,
-    ignored: AbstractSet[str],
-    **more: Any,  # noqa: ANN401
-) -> TraceFile:
-    """The trace of a program whose layers have fields of their own, recorded quantities included.
-
-    counts: (T, M) spikes that went in.
-    ignored: fields without a meaning of their own, beside PROSE.
-    more: further fields of TraceFile.
-    """
-    layers = dict(zip(program.layers, specs, strict=True))
-    shapes = {layer.name: (len(counts), layer.size) for layer in layers}
-    recorded = {
-        layer.name: recorded_tables(spec, shapes[layer.name]) for layer, spec in layers.items()
-    }
-    unread = unread_fields(specs, ignored)
-    if not any(recorded.values()):
-        raise nothing_to_compare(fields, unread)
-    remarks = assumptions({layer.name: spec for layer, spec in layers.items()}, program.chip.name)
-    return TraceFile(
-        source=source_of(fields, program.chip.name),
-        program=program,
-        raster=counts.astype(np.uint8)[None],
-        recorded=recorded,
-        unread=unread,
-        remarks=(*remarks, *more.pop("remarks", ())),
-        **more,
-    )
-
-
-def recorded_tables(spec: Fields, shape: tuple[int, int]) -> dict[str, Integers]:
-    """The tables (T, N) that are there, by quantity."""
-    tables = {}
-    for quantity in QUANTITIES:
-        if quantity in spec:
-            tables[quantity] = table = spec.table(quantity, least=-STATE, most=STATE)
-            if table.shape != shape:
-                found = f"has shape {table.shape}"
-                raise spec.wrong(quantity, found, f"The inputs and the weights ask for {shape}.")
-    return tables
-
-
-def assumptions(specs: Mapping[str, Fields], chip: str) -> tuple[str, ...]:
-    """Return remarks on values assumed for missing fields, one for layers that share them."""
-    takers: dict[tuple[str, ...], list[str]] = {}
-    for name, spec in specs.items():
-        takers.setdefault(tuple(spec.assumed), []).append(name)
-    return tuple(
-        f"{shown_names(names)}: not in the file, so taken as {chip} has it: {', '.join(assumed)}"
-        for assumed, names in takers.items()
-        if assumed
-    )
-
-
-def unread_fields(specs: Sequence[Fields], ignored: AbstractSet[str]) -> tuple[str, ...]:
-    """Fields that no layer used, less those that mean nothing."""
-    return tuple(sorted(set.intersection(*(spec.unread for spec in specs)) - PROSE - ignored))
-
-
-def source_of(fields: Fields, chip: str) -> str:
-    """The tool that recorded the trace."""
-    return fields.text("source") or fields.text("name") or chip
-
-
-def nothing_to_compare(fields: Fields, unread: Sequence[str]) -> TraceError:
-    """The error of a trace in which nothing is recorded under a name that is known."""
-    others = f" Unknown fields: {shown_names(unread)}." if unread else ""
-    return TraceError(
-        f"{fields.where}: there is nothing to compare.{others} Record currents, membranes or "
-        "spikes by the names of docs/traces.md."
-    )
-
-
-# the comparison
-
-_BLIND = "membranes at spikes, of which the board's probe shows something else"
-
-
-def verdict_on(recorded: TraceFile) -> Verdict:
-    """The verdict on a trace that is replayed."""
-    found = (recorded.replay or replay_tables)(recorded.program, recorded.raster)
-    tables = recorded.recorded
-    masks = {}
-    if recorded.blind_at_spikes:
-        for layer in (layer for layer in tables if "membrane" in tables[layer]):
-            masks[layer, "membrane"] = tables[layer].get("spikes", found[layer]["spikes"]) == 0
-    passed_over = sum(int((~mask).sum()) for mask in masks.values())
-    return Verdict(
-        chip=recorded.program.chip.name,
-        source=recorded.source,
-        steps=recorded.raster.shape[0] * recorded.raster.shape[1],
-        compared=count_numbers(tables) - passed_over,
-        passed_over=passed_over,
-        why=_BLIND if passed_over else "",
-        difference=first_difference(tables, found, masks),
-        unread=recorded.unread,
-        remarks=recorded.remarks,
-    )
-
-
-def count_numbers(tables: Tables) -> int:
-    """Number of the numbers in tables."""
-    return sum(table.size for quantities in tables.values() for table in quantities.values())
-
-
-def replay_tables(program: Program, raster: NDArray[np.uint8]) -> Tables:
-    """States and spikes of the interpreter, one inference behind the other."""
-    tables = {}
-    for name, layer in trace(program, raster).items():
-        current, membrane, spikes = (
-            np.concatenate(each) for each in (layer.current, layer.membrane, layer.spikes)
-        )
-        currents = [current] if current.ndim == 2 else list(current.swapaxes(0, 1))
-        named = dict(zip(QUANTITIES, currents, strict=False))
-        tables[name] = {**named, "membrane": membrane, "spikes": spikes.astype(np.int64)}
-    return tables
-
-
-def first_difference(
-    recorded: Tables,
-    found: Tables,
-    masks: Mapping[tuple[str, str], NDArray[np.bool_]] | None = None,
-) -> Difference | None:
-    """The earliest difference; within a timestep in the order of layers and quantities.
-
-    masks: where to compare, by layer and quantity; everywhere where there is none.
-    """
-    first, masks = None, masks or {}
-    for layer, quantities in recorded.items():
-        for quantity, expected in quantities.items():
-            ours = found[layer][quantity]
-            wrong = np.argwhere((expected != ours) & masks.get((layer, quantity), True))
-            if len(wrong) and (first is None or wrong[0][0] < (first.step or 0)):
-                step, neuron = (int(i) for i in wrong[0])
-                values = int(expected[step, neuron]), int(ours[step, neuron])
-                first = Difference(step, layer, neuron, quantity, *values)
-    return first

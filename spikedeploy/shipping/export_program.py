@@ -43,7 +43,8 @@ from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.convention import Clock, Reset
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.files import write_text
-from spikedeploy.runtime.traces.verify import Verdict, verify
+from spikedeploy.runtime.traces.verdict import Verdict
+from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.sources import (
     SpikingSource,

@@ -6,5 +6,4 @@ neurons          what chips differ in, and one timestep
 spike_queue      one timestep of all layers, whose spikes go through a queue on the chip
 arithmetic       the arithmetic of these chips: a layer in floats becomes integers
 numba_steps      the compiled step and backend in timesteps; numba_events event by event
-crossbar_traces  recorded runs of ODIN and tinyODIN, event by event; speck_traces those of Speck
 """

@@ -25,9 +25,9 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.interpreter import Interpreter
 from spikedeploy.runtime.emulator.machine import Machine
-from spikedeploy.runtime.families.programs import program_in
-from spikedeploy.runtime.traces import fields
-from spikedeploy.runtime.traces.fields import Work, read_json
+from spikedeploy.runtime.traces import verdict
+from spikedeploy.runtime.traces.fields import read_json
+from spikedeploy.runtime.traces.programs import program_in
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.shipping.export_program import export_program
 from tests.networks import popsan
@@ -103,8 +103,7 @@ def kit_of(written, tmp_path):
 
 
 def read_back(folder):
-    fields = read_json(folder / "program.json")
-    return program_in(fields, Work(fields, 1))
+    return program_in(read_json(folder / "program.json"), timesteps=1)
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -309,7 +308,7 @@ def test_a_kit_without_an_episode_or_with_one_too_long_to_be_verified_is_not_wri
     words, message, command, here, monkeypatch
 ):
     save(kits.speck_policy(), here / "net.nir")
-    monkeypatch.setitem(fields.MOST, "axons and aliases times timesteps", 100)
+    monkeypatch.setattr(verdict, "MOST_WORK", 100)
     export = ("export", str(here / "net.nir"), "--to", "program", "--chip", "speck2f", "-o", "kit")
     code, _, err = command(*export, *words)
     assert (code != 0, message in err, (here / "kit").exists()) == (True, True, False), err

@@ -6,11 +6,9 @@ Each layer has its registers under the names of the chip's own tools:
     Xylo        dash_syn, dash_mem, threshold, bias             as Rockpool's specification
     Speck       threshold, bias, floor                          as sinabs' IAF layers
     SpiNNaker2  exc_decay, alpha_decay, threshold, bias         as py-spinnaker2; floats
-
     Spiker      threshold, shift, v_reset; read from traces alone
 
 A weight counts `weights[m][n] * 2**exponent`. The axon of a bias is an input like any other.
-Readers of tools' own traces (tool_traces) read registers by the same names.
 
 A recorded run is `expected.json`, or a file of that form from a tool or a board. It names
 the file of its program, which lies beside it, and the digest of that file. Its input is a list of
@@ -19,10 +17,10 @@ step, the trace is a sequence of inferences from zero states.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +35,13 @@ from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint, CubaFlo
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.files import suffix
-from spikedeploy.runtime.traces.fields import Fields, Integers, Work, read_json
-from spikedeploy.runtime.traces.verify import (
+from spikedeploy.runtime.traces.fields import Fields, Integers, read_json
+from spikedeploy.runtime.traces.verdict import (
     PROSE,
     QUANTITIES,
     STATE,
     TraceFile,
+    check_work,
     nothing_to_compare,
     recorded_tables,
 )
@@ -50,31 +49,19 @@ from spikedeploy.runtime.traces.verify import (
 Registers: TypeAlias = dict[str, Any]
 _WEIGHT = 1 << 31
 _MOST_WIDTH = 1 << 17
+_MOST_TIMESTEPS = 1 << 17
+_MOST_EVENTS = 1 << 22
 _DELAYS = 1 << 12
-
-
-_NO_TOOL = (
-    "--to program: {} has no tool that a script could be written for. Choose loihi1, "
-    "loihi1-nengo, loihi2, xylo-a2, speck2f or spinnaker2."
-)
-
-
-@dataclass(frozen=True)
-class _Form:
-    """Writer and reader of a family's registers.
-
-    written: returns the fields that stand beside those of all families.
-    read: sets these fields on a layer that has only name and synapses so far.
-    """
-
-    written: Callable[[Layer, Any], Registers]
-    read: Callable[[Fields, Layer, Any], Layer]
+# of a program.json, what says how it is used and changes no number of a run
+_USE = {
+    "made_by", "format", "clock", "control_step", "placement", "host", "xylo", "remarks", "source",
+    "environment", "tool", "refractory",
+}  # fmt: skip
 
 
 def program_record(program: Program) -> dict[str, Any]:
     """The program's integers as plain data, which `program_in` reads back as the same program."""
     chip, program = program.chip, program.dense("a record of the program")
-    form = _form(chip)
     _check(program)
     convention = program.convention
     return {
@@ -91,7 +78,7 @@ def program_record(program: Program) -> dict[str, Any]:
                 "neurons": layer.size,
                 "spiking": layer.spiking,
                 "refractory": getattr(chip.arithmetic, "refractory", 1),
-                **form.written(layer, chip.arithmetic),
+                **_registers_written(layer, chip),
                 "synapses": [_synapses_written(s, chip) for s in layer.synapses],
             }
             for layer in program.layers
@@ -99,10 +86,13 @@ def program_record(program: Program) -> dict[str, Any]:
     }
 
 
-def program_in(fields: Fields, work: Work) -> Program:
-    """The program in the fields of a `program.json`; TraceError where they do not make one."""
-    chip = _chip_of(fields)
-    form = _form(chip)
+def program_in(fields: Fields, timesteps: int, inference: int = 0) -> Program:
+    """The program in the fields of a `program.json`; TraceError where they do not make one.
+
+    timesteps, inference: of a replay, as in check_work.
+    """
+    chip = fields.choice("chip", tuple(CHIPS))
+    on = replace(datasheet(chip), delay_max=_DELAYS)
     source = fields.group("input")
     name, width = source.text("name"), source.integer("width", default=0, least=1, most=_MOST_WIDTH)
     specs = fields.groups("layers")
@@ -111,36 +101,24 @@ def program_in(fields: Fields, work: Work) -> Program:
         sizes[spec.text("name")] = spec.integer("neurons", default=0, least=1, most=_MOST_WIDTH)
     if len(sizes) != len(specs) + 1:
         raise fields.wrong("layers", "share a name", "Give each layer a name of its own.")
-    layers = []
-    for spec in specs:
-        layers.append(_layer_read(spec, sizes, chip))
-        synapses = sum(s.weight.size for s in layers[-1].synapses)
-        axons = sum(len(s.weight) for s in layers[-1].synapses)
-        work.add(layers[-1].size, synapses, 0 if form is _FORMS["loihi"] else axons)
+    layers = tuple(_layer_read(spec, sizes, on) for spec in specs)
     output = fields.text("output")
     if output not in {layer.name for layer in layers}:
         raise fields.wrong("output", f"is {output[:40]!r}", "Name one of the layers.")
-    chip = replace(chip, delay_max=_DELAYS)
     try:
         convention = Convention(
-            dt=float(fields.numbers("dt").get("dt", 0.0)),
+            dt=float(fields.floats("dt")[0]),
             reset=fields.text("reset"),  # type: ignore[arg-type]  # it is checked there
             spikes=fields.text("spikes"),  # type: ignore[arg-type]
             floor=fields.text("floor"),  # type: ignore[arg-type]
             state="kept",
             source="the program",
         )
-        found = tuple(layers)
-        return Program(chip, convention, name, width, found, output, None, clock="pipelined")
+        found = Program(on, convention, name, width, layers, output, None, clock="pipelined")
     except (ConventionError, RuleError) as error:
         raise fields.wrong("layers", f"make no program ({error})", "Export it again.") from error
-
-
-def _chip_of(fields: Fields) -> Chip:
-    name = fields.text("chip")
-    if name not in CHIPS:
-        raise fields.wrong("chip", f"is {name[:40]!r}", f"It may be {', '.join(CHIPS)}.")
-    return datasheet(name)
+    check_work(fields, found, timesteps, inference)
+    return found
 
 
 def _check(program: Program) -> None:
@@ -154,31 +132,12 @@ def _check(program: Program) -> None:
     if program.damage or program.upsets is not None:
         raise ConfigError("--to program: the chip has faults, which no tool has. Leave them out.")
     for layer in program.layers:
-        if layer.graded or layer.aliases or np.any(layer.v_reset):
-            what = "graded spikes" if layer.graded else "aliases or resets of its own"
+        if layer.graded or layer.aliases or np.any(layer.v_reset) or layer.bias.any():
             raise ConfigError(
-                f"--to program: layer {layer.name!r} has {what}, which the kit's scripts do not "
-                "write. Export it with --to nir for the chip's own tool."
+                f"--to program: layer {layer.name!r} has graded spikes, aliases, resets of its own "
+                "or a bias that is not an axon, which the kit's scripts do not write. Export it "
+                "with --to nir for the chip's own tool."
             )
-        if layer.bias.any():
-            raise ConfigError(
-                f"--to program: layer {layer.name!r} has a bias that is not an axon yet."
-            )
-
-
-def _refuse(layer: Layer, registers: object) -> Registers:
-    raise ConfigError(_NO_TOOL.format(layer.name))
-
-
-def _form(chip: Chip) -> _Form:
-    for family, form in ((CubaFixedPoint, "loihi"), (XyloArithmetic, "xylo"), (CubaFloat32, "s2")):
-        if isinstance(chip.arithmetic, family):
-            return _FORMS[form]
-    if isinstance(chip.arithmetic, IntegrateAndFire) and chip.arithmetic.leak == "none":
-        return _FORMS["iaf"]
-    if isinstance(chip.arithmetic, IntegrateAndFire) and chip.arithmetic.leak == "shift":
-        return _FORMS["shift"]
-    raise ConfigError(_NO_TOOL.format(chip.name))
 
 
 def _synapses_written(synapses: Synapses, chip: Chip) -> dict[str, Any]:
@@ -198,9 +157,7 @@ def _synapses_written(synapses: Synapses, chip: Chip) -> dict[str, Any]:
 
 
 def _synapses_read(spec: Fields, sizes: Mapping[str, int], size: int) -> Synapses:
-    source = spec.text("source")
-    if source not in sizes:
-        raise spec.wrong("source", f"is {source[:40]!r}", "Name the input or a layer.")
+    source = spec.choice("source", tuple(sizes))
     weights = spec.array("weights", axes=2, least=-_WEIGHT, most=_WEIGHT)
     if weights.shape != (sizes[source], size):
         remedy = f"Write {sizes[source]} rows of {size} weights."
@@ -219,15 +176,114 @@ def _layer_read(spec: Fields, sizes: Mapping[str, int], chip: Chip) -> Layer:
     name = spec.text("name")
     synapses = [_synapses_read(each, sizes, sizes[name]) for each in spec.groups("synapses")]
     spec.integer("refractory", default=1, least=1, most=64)
-    return read_layer(spec, name, synapses, chip, spec.flag("spiking") is not False)
+    return read_layer(spec, name, synapses, chip, spec.flag("spiking", True))
+
+
+# registers
+
+
+class _Register(NamedTuple):
+    """A register of each neuron that holds a number of its layer as it is.
+
+    name: in the file.
+    attribute: of Layer.
+    least, most: its range.
+    default: where the file has none; None where it must have one.
+    """
+
+    name: str
+    attribute: str
+    least: int
+    most: int
+    default: int | None = None
+
+
+def _plain_registers(chip: Chip) -> tuple[_Register, ...]:
+    """The registers of chips but Loihi and SpiNNaker2; ConfigError where there is no tool."""
+    rules = chip.arithmetic
+    if isinstance(rules, XyloArithmetic):
+        low, high = -rules.state.limit - 1, rules.state.limit
+        return (
+            _Register("dash_mem", "membrane_decay", 0, rules.dash_max),
+            _Register("threshold", "threshold", low, high),
+            _Register("bias", "voltage_bias", low, high, 0),
+        )
+    if isinstance(rules, IntegrateAndFire) and rules.leak in ("none", "shift"):
+        low, high = -rules.membrane.limit - 1, rules.membrane.limit
+        if rules.leak == "none":
+            return (
+                _Register("threshold", "threshold", 1, high),
+                _Register("bias", "voltage_bias", low, high, 0),
+            )
+        return (
+            _Register("threshold", "threshold", low, high),
+            _Register("shift", "membrane_decay", 0, 62),
+            _Register("v_reset", "v_reset", low, high, 0),
+        )
+    raise ConfigError(
+        f"--to program: {chip.name} has no tool that a script could be written for. Choose loihi1, "
+        "loihi1-nengo, loihi2, xylo-a2, speck2f or spinnaker2."
+    )
+
+
+# SpiNNaker2: whole weights, everything else in float32
+_FLOATS = {
+    "exc_decay": "current_decay",
+    "alpha_decay": "membrane_decay",
+    "threshold": "threshold",
+    "bias": "voltage_bias",
+}
+
+
+def _registers_written(layer: Layer, chip: Chip) -> Registers:
+    rules = chip.arithmetic
+    if isinstance(rules, CubaFixedPoint):
+        return _loihi_written(layer, rules)
+    if isinstance(rules, CubaFloat32):
+        largest = np.full(layer.size, np.finfo("f4").max)
+        layer = layer if layer.spiking else replace(layer, threshold=largest)
+        return {n: [float(x) for x in getattr(layer, each)] for n, each in _FLOATS.items()}
+    found = {each.name: getattr(layer, each.attribute) for each in _plain_registers(chip)}
+    if isinstance(rules, XyloArithmetic):
+        found = {"dash_syn": layer.current_decay, **found}
+    return {name: rows.tolist() for name, rows in found.items()}
 
 
 def read_layer(
     spec: Fields, name: str, synapses: Sequence[Synapses], chip: Chip, spiking: bool = True
 ) -> Layer:
     """The layer of these synapses, whose registers are in the fields."""
-    bare = plain_layer(name, synapses, np.zeros(synapses[0].shape[1], np.int64))
-    return _form(chip).read(spec, replace(bare, spiking=spiking), chip.arithmetic)
+    rules, size = chip.arithmetic, synapses[0].shape[1]
+    layer = replace(plain_layer(name, synapses, np.zeros(size, np.int64)), spiking=spiking)
+    if isinstance(rules, CubaFixedPoint):
+        return _loihi_read(spec, layer, rules)
+    if isinstance(rules, CubaFloat32):
+        floats = {e: spec.floats(n, size).astype(np.float32) for n, e in _FLOATS.items()}
+        if not spiking:
+            floats["threshold"] = np.full(size, np.inf, np.float32)
+        return replace(layer, bias=np.zeros(size, np.float32), **floats)
+    if isinstance(rules, XyloArithmetic):
+        layer = replace(layer, current_decay=_current_dashes(spec, layer, rules))
+    found: dict[str, Any] = {
+        each.attribute: spec.row(
+            each.name, size=size, default=each.default, least=each.least, most=each.most
+        )
+        for each in _plain_registers(chip)
+    }
+    return replace(layer, **found)
+
+
+def _current_dashes(spec: Fields, layer: Layer, rules: XyloArithmetic) -> Integers:
+    """(K, N) shifts of the K currents."""
+    size, most = layer.size, rules.dash_max
+    dashes = spec.array("dash_syn", axes=2, least=0, most=most)
+    dashes = np.atleast_2d(dashes) if dashes.size in (1, size) else dashes
+    if dashes.shape[1] not in (1, size) or len(dashes) > rules.currents:
+        raise spec.wrong("dash_syn", f"has shape {dashes.shape}", f"Write lists of {size}.")
+    rows = [*np.broadcast_to(dashes, (len(dashes), size))]
+    if len(rows) == 1 and ("dash_syn_2" in spec or any(s.current for s in layer.synapses)):
+        rows.append(spec.row("dash_syn_2", size=size, default=0, least=0, most=most))
+    return np.stack(rows)
 
 
 # Loihi: u = tz(u (4096 - decay_u - offset) / 4096) + ...; thresholds are mantissas << shift
@@ -296,106 +352,7 @@ def _kept(spec: Fields, name: str, registers: CubaFixedPoint, size: int) -> Inte
     return all_of_it - spec.row(name, size=size, default=default, least=0, most=most)
 
 
-# Xylo: decays are shifts; neurons have one or two currents
-
-
-def _xylo_written(layer: Layer, registers: XyloArithmetic) -> Registers:
-    return {
-        "dash_syn": layer.current_decay.tolist(),
-        "dash_mem": layer.membrane_decay.tolist(),
-        "threshold": layer.threshold.tolist(),
-        "bias": layer.voltage_bias.tolist(),
-    }
-
-
-def _xylo_read(spec: Fields, layer: Layer, registers: XyloArithmetic) -> Layer:
-    size, limit, most = layer.size, registers.state.limit, registers.dash_max
-    dashes = spec.array("dash_syn", axes=2, least=0, most=most)
-    dashes = np.atleast_2d(dashes) if dashes.size in (1, size) else dashes
-    if dashes.shape[1] not in (1, size) or len(dashes) > registers.currents:
-        raise spec.wrong("dash_syn", f"has shape {dashes.shape}", f"Write lists of {size}.")
-    rows = [*np.broadcast_to(dashes, (len(dashes), size))]
-    if len(rows) == 1 and ("dash_syn_2" in spec or any(s.current for s in layer.synapses)):
-        rows.append(spec.row("dash_syn_2", size=size, default=0, least=0, most=most))
-    return replace(
-        layer,
-        current_decay=np.stack(rows),
-        membrane_decay=spec.row("dash_mem", size=size, least=0, most=most),
-        threshold=spec.row("threshold", size=size, least=-limit - 1, most=limit),
-        voltage_bias=spec.row("bias", size=size, default=0, least=-limit - 1, most=limit),
-    )
-
-
-# integrate-and-fire neurons: no decay at all
-
-
-def _iaf_written(layer: Layer, registers: IntegrateAndFire) -> Registers:
-    return {"threshold": layer.threshold.tolist(), "bias": layer.voltage_bias.tolist()}
-
-
-def _iaf_read(spec: Fields, layer: Layer, registers: IntegrateAndFire) -> Layer:
-    size, limit = layer.size, registers.membrane.limit
-    return replace(
-        layer,
-        threshold=spec.row("threshold", size=size, least=1, most=limit),
-        voltage_bias=spec.row("bias", size=size, default=0, least=-limit - 1, most=limit),
-    )
-
-
-def _shift_read(spec: Fields, layer: Layer, registers: IntegrateAndFire) -> Layer:
-    size, limit = layer.size, registers.membrane.limit
-    return replace(
-        layer,
-        threshold=spec.row("threshold", size=size, least=-limit - 1, most=limit),
-        membrane_decay=spec.row("shift", size=size, least=0, most=62),
-        v_reset=spec.row("v_reset", size=size, default=0, least=-limit - 1, most=limit),
-    )
-
-
-# SpiNNaker2: whole weights, everything else in float32
-
-
-def _float_written(layer: Layer, registers: CubaFloat32) -> Registers:
-    threshold = layer.threshold if layer.spiking else np.full(layer.size, np.finfo("f4").max)
-    return {
-        "exc_decay": [float(x) for x in layer.current_decay],
-        "alpha_decay": [float(x) for x in layer.membrane_decay],
-        "threshold": [float(x) for x in threshold],
-        "bias": [float(x) for x in layer.voltage_bias],
-    }
-
-
-def _float_read(spec: Fields, layer: Layer, registers: CubaFloat32) -> Layer:
-    found = {
-        name: spec.floats(name, layer.size).astype(np.float32)
-        for name in ("exc_decay", "alpha_decay", "threshold", "bias")
-    }
-    return replace(
-        layer,
-        bias=np.zeros(layer.size, np.float32),
-        threshold=found["threshold"] if layer.spiking else np.full(layer.size, np.inf, "f4"),
-        current_decay=found["exc_decay"],
-        membrane_decay=found["alpha_decay"],
-        voltage_bias=found["bias"],
-    )
-
-
-_FORMS = {
-    "loihi": _Form(_loihi_written, _loihi_read),
-    "xylo": _Form(_xylo_written, _xylo_read),
-    "iaf": _Form(_iaf_written, _iaf_read),
-    "shift": _Form(_refuse, _shift_read),
-    "s2": _Form(_float_written, _float_read),
-}
-
-
-_MOST_TIMESTEPS = 1 << 17
-_MOST_EVENTS = 1 << 22
-# of a program.json, what says how it is used and changes no number of a run
-_USE = {
-    "made_by", "format", "clock", "control_step", "placement", "host", "xylo", "remarks", "source",
-    "environment", "tool", "refractory",
-}  # fmt: skip
+# recorded runs
 
 
 def program_trace(fields: Fields, folder: Path) -> TraceFile:
@@ -403,7 +360,7 @@ def program_trace(fields: Fields, folder: Path) -> TraceFile:
     beside = _program_fields(fields, folder)
     timesteps = fields.integer("timesteps", default=0, least=1, most=_MOST_TIMESTEPS)
     inference = _inference(beside.group("control_step"), fields, timesteps)
-    program = program_in(beside, Work(beside, timesteps, inference))
+    program = program_in(beside, timesteps, inference)
     groups, recorded = fields.group("recorded"), {}
     for layer in program.layers:
         if layer.name in groups:
