@@ -258,7 +258,9 @@ def read_layer(
     if isinstance(rules, CubaFixedPoint):
         return _loihi_read(spec, layer, rules)
     if isinstance(rules, CubaFloat32):
-        floats = {e: spec.floats(n, size).astype(np.float32) for n, e in _FLOATS.items()}
+        floats: dict[str, Any] = {
+            e: spec.floats(n, size).astype(np.float32) for n, e in _FLOATS.items()
+        }
         if not spiking:
             floats["threshold"] = np.full(size, np.inf, np.float32)
         return replace(layer, bias=np.zeros(size, np.float32), **floats)

@@ -89,15 +89,16 @@ def speck_verdict(fields: Fields, path: Path) -> Verdict:
     """Compare everything that a trace of Speck holds with what is computed here."""
     fields.choice("format", (_FORMAT,))
     recorded, specs = _read(fields, _read_arrays(path.with_suffix(".npz")))
-    keys = {key: found for key in recorded.arrays if (found := _KEY.fullmatch(key))}
+    keys = {key: matched for key in recorded.arrays if (matched := _KEY.fullmatch(key))}
     expected = {
         key: recorded.arrays[key]
-        for key, found in keys.items()
-        if int(found["layer"]) < len(recorded.layers)
+        for key, matched in keys.items()
+        if int(matched["layer"]) < len(recorded.layers)
     }
     if not expected:
         raise nothing_to_compare(fields, ())
-    rows, found = {key: len(array) for key, array in expected.items()}, Arrays()
+    rows = {key: len(array) for key, array in expected.items()}
+    found: Arrays = {}
     for section in dict.fromkeys(keys[key]["section"] for key in expected):
         replay = _replay_timesteps if section == "timestep" else _replay_events
         found |= replay(recorded, section, rows)
