@@ -17,7 +17,7 @@
     shipping     export, publishing into the zoo, the demo
     jobs         functions called in this process or in several, which Ctrl-C stops
     campaign     sweeps of evaluations, searches for settings, seeds of a training
-    play         windows: drive, replay, draw a track
+    play         a window to drive a robot in, or to watch a policy
 
     api          a few lines of Python; setup: how policies are evaluated; cli starts a command
 

@@ -218,14 +218,7 @@ class ComparedPolicies:
         return report.write(self.document, Path(folder))
 
     def __repr__(self) -> str:
-        table = self._table()
-        cells = [table.columns, *table.rows]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in cells
-        ]
-        return "\n".join([*lines, "", self.meaning])
+        return "\n".join([*self._table().lines(120), self.meaning])
 
     def _repr_html_(self) -> str:
         """The table and its sentences, for notebooks."""
@@ -551,6 +544,6 @@ def distill(
 
 def make(env: str, **options: Any) -> "gymnasium.Env[Any, Any]":  # noqa: ANN401
     """Make the environment of a short name or id, with its options."""
-    from spikedeploy.make_env import make_env
+    from spikedeploy import envs
 
-    return make_env(env, options)
+    return envs.make(env, **options)

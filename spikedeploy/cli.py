@@ -40,7 +40,7 @@ COMMANDS = {
         "sweep": "training",
     },
     "Look": {
-        "play": "windows",
+        "play": "closed_loop",
         "visualize": "training",
         "policies": "listings",
         "chips": "listings",

@@ -4,17 +4,14 @@ import codecs
 import io
 import os
 import shlex
+import shutil
 import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from spikedeploy.runtime.files import as_text
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 _PIPE_WIDTH = 120
 PAUSE = 10.0  # seconds between two lines of progress where there is no terminal
@@ -74,68 +71,58 @@ def print_result(json: bool, record: object, *lines: str) -> None:
 
 def say(line: str) -> None:
     """Write a line on stderr, which leaves stdout for results."""
-    console(stderr=True).print(
-        name_program(line), markup=False, soft_wrap=True
-    )  # so that it can be copied
+    print(name_program(line), file=sys.stderr)
 
 
-def print_text(text: str) -> None:
-    """Write text on stdout as it is, wrapped between words."""
-    console().print(text, markup=False)
+def print_text(text: str, indent: str = "") -> None:
+    """Write text on stdout, wrapped between words; further lines are indented."""
+    for line in text.split("\n"):
+        print("\n".join(wrap(line, screen_width(), subsequent_indent=indent)))
 
 
 def print_list(items: Iterable[str]) -> None:
     """Write items on stdout, each behind a dash, wrapped between words."""
     for item in items:
-        print(
-            textwrap.fill(
-                item,
-                console().width,
-                initial_indent="- ",
-                subsequent_indent="  ",
-                break_on_hyphens=False,
-                break_long_words=False,
-            )
-        )
+        print_text(f"- {item}", "  ")
 
 
-def console(stderr: bool = False) -> "Console":
-    """A console as wide as the terminal, or `PIPE_WIDTH` columns where there is none."""
-    from rich.console import Console
+def wrap(text: str, width: int, **options: str) -> list[str]:
+    """The lines of a text, broken between words alone; one of an empty text."""
+    words = {"break_on_hyphens": False, "break_long_words": False}
+    return textwrap.wrap(text, width, **words, **options) or [""]  # type: ignore[arg-type]
 
-    made = Console(stderr=stderr, highlight=False)
-    if not made.is_terminal:
-        made.width = _PIPE_WIDTH
-    return made
+
+def screen_width() -> int:
+    """Columns of the terminal, or `_PIPE_WIDTH` where there is none."""
+    if not sys.stdout.isatty():
+        return _PIPE_WIDTH
+    return shutil.get_terminal_size((_PIPE_WIDTH, 24)).columns
 
 
 @contextmanager
 def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
     """Progress on stderr, and the function that advances it by one.
 
-    A bar on a terminal; elsewhere a line now and then, for logs.
+    One line that changes on a terminal; elsewhere a line now and then, for logs.
     """
-    screen = console(stderr=True)
-    if not screen.is_terminal:
-        yield _lines(description, total)
-        return
-    from rich.markup import escape
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=screen, transient=True) as bar:
-        task = bar.add_task(escape(description), total=total)
-        yield lambda: bar.advance(task)
-
-
-def _lines(description: str, total: int) -> Callable[[], None]:
-    done, printed = 0, time.monotonic()
+    live = sys.stderr.isatty()
+    done, began = 0, time.monotonic()
+    printed = began
 
     def advance() -> None:
         nonlocal done, printed
-        done += 1
-        if time.monotonic() - printed >= PAUSE:
-            printed = time.monotonic()
-            say(f"{description}: {done} of {total}")
+        done, now = done + 1, time.monotonic()
+        line = f"{description}: {done} of {total}"
+        if live:
+            left = (now - began) / done * (total - done)
+            sys.stderr.write(f"\r\033[K{line}, {left / 60:.1f} min left")
+            sys.stderr.flush()
+        elif now - printed >= PAUSE:
+            printed = now
+            say(line)
 
-    return advance
+    try:
+        yield advance
+    finally:
+        if live:
+            sys.stderr.write("\r\033[K")

@@ -9,16 +9,13 @@ import mmap
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import NamedTemporaryFile
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 
-# what training leaves in a run folder; anything else there is an export or a picture
-_OF_RUNS = ("config.json", "versions.json", "metrics.csv", "curve.png", "replay.safetensors")
 _MARK = "written by spikedeploy "
-_LONGEST = 230  # bytes of a name; 255 with what a temporary one adds
-_MAY_STAND_IN_RUNS = (".nir", ".onnx", ".png", ".mp4", ".gif")
+_MAY_STAND_IN_RUNS = (".nir", ".onnx", ".png", ".mp4", ".gif")  # exports and pictures
 
 
 def mark(command: str) -> str:
@@ -66,13 +63,25 @@ def check_output(
     force: whether a file that exists may be replaced
     ours: whether an existing file is an earlier output of the command
     """
-    _check_kind(option, path)
+    if path.is_dir():
+        raise ConfigError(f"{option} {path} is a folder. Name a file in it.")
+    if os.path.lexists(path) and not path.is_file():
+        raise ConfigError(f"{option} {path} is a device, a pipe or a link to nothing. Name a file.")
+    check_folder(option, path.parent)
+    _check_writable(option, path)
     for each in inputs:
         if each is not None and _same(path, Path(each)):
             raise ConfigError(
                 f"{option} {path} is the input {each}, which would be lost. Name another file."
             )
-    _check_run(option, path)
+    whole = path.resolve()
+    run = next((folder for folder in whole.parents if _is_run(folder)), None)
+    free = whole.parent == run and suffix(whole) in _MAY_STAND_IN_RUNS
+    if run is not None and not free:
+        raise ConfigError(
+            f"{option} {path} is inside the run folder {run}, whose own files are there. Name a "
+            "file elsewhere; exports and pictures may stand in the run folder itself."
+        )
     if path.exists() and not force and not (ours is not None and ours(path)):
         raise ConfigError(
             f"{option} {path}: the file exists, and not from an earlier run of this command. Name "
@@ -109,32 +118,14 @@ def check_output_folder(
         check_output(option, path, known, force or (earlier and not path.is_symlink()))
 
 
-def _check_kind(option: str, path: Path) -> None:
-    """Refuse what is no plain file, and a place where none can be."""
-    if (length := len(os.fsencode(path.name))) > _LONGEST:
-        raise ConfigError(
-            f"{option} {path.name[:40]}…: the name has {length} bytes; at most {_LONGEST} are "
-            "possible. Name another file."
-        )
-    if path.is_dir():
-        raise ConfigError(f"{option} {path} is a folder. Name a file in it.")
-    if os.path.lexists(path) and not path.is_file():
-        what = (
-            "a link to nothing" if path.is_symlink() and not path.exists() else "a device or pipe"
-        )
-        raise ConfigError(f"{option} {path} is {what}, and no file. Name a file.")
-    check_folder(option, path.parent)
-    _check_writable(option, path)
-
-
 def _check_writable(option: str, path: Path) -> None:
-    """Refuse a folder that takes no files, before the work and not after it."""
+    """Refuse a folder that takes no file of this name, before the work and not after it."""
     folder = next(each for each in Path(os.path.realpath(path)).parents if each.is_dir())
     try:
-        TemporaryFile(dir=folder).close()
+        NamedTemporaryFile(dir=folder, prefix=f".{path.name}").close()
     except OSError as error:
         raise ConfigError(
-            f"{option} {path}: {folder} takes no files ({error.strerror}). Name another folder."
+            f"{option} {path}: {folder} takes no file of this name: {error.strerror}"
         ) from error
 
 
@@ -143,20 +134,6 @@ def _same(path: Path, other: Path) -> bool:
     if path.exists() and other.exists():
         return path.samefile(other)
     return other.exists() and path.resolve() == other.resolve()
-
-
-def _check_run(option: str, path: Path) -> None:
-    """Refuse a file in a run folder that is neither an export nor a picture."""
-    whole = path.resolve()
-    run = next((folder for folder in whole.parents if _is_run(folder)), None)
-    if run is None:
-        return
-    free = whole.parent == run and suffix(whole) in _MAY_STAND_IN_RUNS
-    if whole.name in _OF_RUNS or not free:
-        raise ConfigError(
-            f"{option} {path} is inside the run folder {run}, whose own files are there. Name a "
-            "file elsewhere; exports and pictures may stand in the run folder itself."
-        )
 
 
 def _is_run(folder: Path) -> bool:

@@ -16,12 +16,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import say
 from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Player, check_fit, open_policy
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
@@ -209,11 +209,11 @@ def record(
 
 def _env_to_show(name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401
     """The environment; one that renders where it can and no scene of it is known."""
-    env: Any = make_env(name, dict(options))
+    env: Any = envs.make(name, **options)
     if scene_of(env) is not None or "rgb_array" not in env.metadata.get("render_modes", ()):
         return env
     try:
-        shown = make_env(name, {**options, "render_mode": "rgb_array"})
+        shown = envs.make(name, **options, render_mode="rgb_array")
     except Exception as error:  # other people's code: the page lacks a film, and nothing else
         _say_no_film(error)
         return env

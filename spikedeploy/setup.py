@@ -194,9 +194,9 @@ class Setup(OnChip):
     @cached_property
     def faults(self) -> "Faults":
         """Faults of the chip."""
-        from spikedeploy.runtime.faults import faults
+        from spikedeploy.runtime.faults import NONE, faults
 
-        return faults(self.fault, self.specimen)
+        return faults(self.fault, self.specimen) if self.fault else NONE
 
     def check(self) -> "Setup":
         """Return it; ConfigError for unknown options, energy tables, metrics and faults."""

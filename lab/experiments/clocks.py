@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from lab.experiments.intervals import nested_ratio, t_interval
 from lab.experiments.runner import RESULTS, TASKS, Experiment, Record
 from spikedeploy import zoo
 from spikedeploy.comparison.comparison import Row
@@ -21,10 +22,8 @@ from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import (
     Estimate,
-    nested_ratio,
     risk,
     stratified_bootstrap,
-    t_interval,
 )
 from spikedeploy.policies import costs
 from spikedeploy.policies.registry import find

@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from lab.experiments.intervals import nested_ratio
 from spikedeploy import envs
-from spikedeploy.comparison.statistics import Estimate, nested_ratio
+from spikedeploy.comparison.statistics import Estimate
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies import run_record
 from spikedeploy.policies.onnx import OnnxController

@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.experiments import policies, runner
+from lab.experiments.intervals import nested_ratio, t_interval
 from lab.experiments.runner import RESULTS, ROOT, Experiment, Record, number, share, trained
 from spikedeploy.commands.distillation import FLOAT, RIVAL, STUDENT
-from spikedeploy.comparison.statistics import nested_ratio, risk, t_interval
+from spikedeploy.comparison.statistics import risk
 from spikedeploy.envs.foreign import attribute, import_target
 from spikedeploy.reports.table import ABSENT
 from spikedeploy.runtime.files import replacing, write_json

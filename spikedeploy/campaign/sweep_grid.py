@@ -20,7 +20,6 @@ from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import say
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.envs.repeats import check_repeats
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import BUILT_IN, DEFAULT_CHIP, FLOAT, Candidate, check_fit, find
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
@@ -248,7 +247,7 @@ def _fitting(grid: SweepGrid) -> dict[str, list[Candidate]]:
         found[env] = [each for each in [*named, *shipped] if each.env in fits]
         if not found[env]:
             raise ConfigError(f"policy: none is for {env}. Name one, such as {env}/snn or random.")
-        world = make_env(env, options)
+        world = envs.make(env, **options)
         for candidate in found[env]:
             check_fit(candidate, world)
         world.close()

@@ -15,6 +15,7 @@ from spikedeploy.console import print_text
 from spikedeploy.outputs import mark
 from spikedeploy.reports.columns import (
     energy_cell,
+    field_cell,
     format_difference,
     format_operations,
     format_return,
@@ -23,7 +24,7 @@ from spikedeploy.reports.columns import (
     quoted_table,
 )
 from spikedeploy.reports.page import write_beside
-from spikedeploy.reports.table import ABSENT, Cell, Column, Table, field_cell, write_rows
+from spikedeploy.reports.table import ABSENT, Column, Table, write_rows
 
 Record = dict[str, Any]
 PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"

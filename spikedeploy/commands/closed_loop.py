@@ -1,11 +1,10 @@
-"""`run`, `compare`, `reproduce`, `demo` and `serve`: policies that act in their environments."""
+"""`run`, `compare`, `play`, `demo`, `serve`, `reproduce`: policies act in their environments."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,6 +15,7 @@ from spikedeploy.commands.options import (
     ChipName,
     EnvArgument,
     EnvName,
+    EnvOptions,
     File,
     Folder,
     Force,
@@ -35,7 +35,6 @@ from spikedeploy.setup import Count, OnChip, Reading, Setup, changed
 
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
-    from spikedeploy.comparison.lineup import Entry
     from spikedeploy.realtime.paced_loop import PacedLoop
     from spikedeploy.shipping.hardware_run import CoreDriver, HardwareRun
     from spikedeploy.shipping.reproduce import Reproduction
@@ -82,6 +81,8 @@ class ByTheClock:
             from spikedeploy.live import watched_loop
 
             return watched_loop(self.port, *pace, tables)
+        if pace == (None, None, None):
+            return nullcontext()
         from spikedeploy.realtime.paced_loop import PacedLoop, pacing
 
         found = pacing(*pace)
@@ -142,8 +143,7 @@ def run(
     setup.check()
     clock.check(video is not None, episodes > 1)
     if via is not None:
-        one = {n: v for n, v in (("chip", chip), ("native", native)) if v}
-        _check_via(via, setup, {**one, **changed(reading), **changed(clock)})
+        _check_via(via, {"chip": chip, "native": native}, setup, reading, clock)
     policy = _adopt(policy, reading, codec, env, chip, setup, force)
     file, loop, drove = runnable(policy), None, None
     play = partial(run_policy, file, env or trained_in(policy), seeds=range(seed, seed + episodes))
@@ -158,15 +158,19 @@ def run(
     from spikedeploy.reports.terminal import print_run  # after the first action, which is sooner
 
     _print(document, json, print_run, tables, output, video)
-    _end(drove, json)
+    if drove:
+        if not json:
+            typer.echo("\n".join(drove.lines()))
+        raise typer.Exit(0 if drove.equal else 1)
 
 
-def _check_via(
-    via: Path, setup: Setup, others: Mapping[str, object] = MappingProxyType({})
-) -> None:
+def _check_via(via: Path, one: Mapping[str, object], setup: Setup, *groups: object) -> None:
     """Refuse options that an export has decided, or that mean nothing in a simulation."""
     of_chips = (*vars(OnChip()), "fault", "specimen", "backend")
-    if found := [*others, *(name for name in changed(setup) if name in of_chips)]:
+    found = [name for name, value in one.items() if value]
+    found += [name for group in groups for name in changed(group)]
+    found += [name for name in changed(setup) if name in of_chips]
+    if found:
         options = ", ".join(f"--{name.strip('_').replace('_', '-')}" for name in found)
         raise ConfigError(
             f"--via {via}: the folder says what it was exported for, and a simulation is not by "
@@ -181,14 +185,6 @@ def _hardware(via: Path | None, policy: str) -> "AbstractContextManager[CoreDriv
     from spikedeploy.shipping.hardware_run import driver
 
     return driver(via, policy)
-
-
-def _end(drove: "HardwareRun | None", json: bool) -> None:
-    """Print what hardware did, and exit with 1 where it is not the emulated chip's equal."""
-    if drove:
-        for line in () if json else drove.lines():
-            typer.echo(line)
-        raise typer.Exit(0 if drove.equal else 1)
 
 
 def _adopt(
@@ -277,7 +273,6 @@ def compare(
     teacher: Annotated[str, typer.Option(metavar="TEACHER", autocompletion=completion.policies)]
     | None = None,
     teacher_units: Units | None = None,
-    via: Folder | None = None,
     workers: Workers | None = None,
     output: Output | None = None,
     tables: Tables = "one",
@@ -286,8 +281,6 @@ def compare(
 ) -> None:
     """Compare policies on the same seeds: returns, agreement, spikes, operations, energy.
 
-    With --via: hardware in simulation drives as well, in a row of its own.
-
     files: policies: .onnx, .nir, run folders, shipped names. The float ANN, the built-in players
         and the controls are added (default: all that are shipped)
     chip: chip of the spiking policies; several with commas between them, or the option again
@@ -295,15 +288,14 @@ def compare(
     episodes: episodes of each row
     teacher: a row for a teacher, as `distill` takes it; a function of yours runs as your code
     teacher_units: units of its actions (default: those of its kind)
-    via: a row for the core that `export --to verilog` wrote there of one of the policies: it drives
-        in simulation; what is in FOLDER runs as you
 
     Output:
         output: folder for report.json, report.html and plots
     """
     from spikedeploy.comparison.evaluation import compare_policies
-    from spikedeploy.comparison.lineup import line_up, remark_on_chip
+    from spikedeploy.comparison.lineup import line_up
     from spikedeploy.policies.scripts import teacher_candidate
+    from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import split_names
     from spikedeploy.shipping.exported_run import runnable
 
@@ -313,60 +305,53 @@ def compare(
         inputs = [*(files or ()), *([teacher] if teacher else ())]
         _check_output_folder(output, inputs, force, setup)
     setup.check()
-    policies = [runnable(file) for file in files or ()]
     taught = teacher_candidate(runnable(teacher), teacher_units) if teacher else None
     chips = split_names(",".join(chip)) if chip else None
-    entries = line_up(env, policies, chips, taught, setup)
-    for remark in filter(None, map(remark_on_chip, entries)):
-        say(remark)
-    numbers = range(seed, seed + episodes)
-    if via:
-        _check_via(via, setup)
-    exported = _exported_entry(via, entries) if via else ""
-    with _hardware(via, exported) as core:
-        comparison = compare_policies(env, entries, numbers, workers)
-        drove = None
-        if core is not None:
-            comparison, drove = _drive(core, comparison, exported, env, numbers)
-    document = _report(comparison, setup, output, drove=drove)
-    from spikedeploy.reports.terminal import print_comparison
-
-    _print(document, json, print_comparison, tables, output)
-    _end(drove, json)
+    entries = line_up(env, [runnable(file) for file in files or ()], chips, taught, setup)
+    comparison = compare_policies(env, entries, range(seed, seed + episodes), workers)
+    _print(_report(comparison, setup, output), json, print_comparison, tables, output)
 
 
-def _drive(
-    core: "CoreDriver", comparison: "Comparison", policy: str, env: str, numbers: range
-) -> "tuple[Comparison, HardwareRun]":
-    """Return the comparison with a row of hardware, and that beside the emulated chip."""
-    from spikedeploy.comparison.evaluation import run_policy
+def play(
+    *,
+    env: EnvArgument,
+    track: str | None = None,
+    policy: Annotated[str, typer.Option(metavar="FILE", autocompletion=completion.policies)]
+    | None = None,
+    chip: ChipName | None = None,
+    record: Path | None = None,
+    set_: EnvOptions | None = None,
+    seed: Seed = seeds.EVALUATION,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Drive a kart with WASD or the arrows, command a hexapod, or watch a policy.
 
-    play = partial(run_policy, policy, env, core.chip, numbers, comparison.setup)
-    driven = play(hardware=core)
-    emulated: Callable[[], Comparison] = play
-    for row in comparison.rows:  # whose episodes were played
-        if (str(row.entry.candidate.path), row.entry.chip) == (policy, core.chip):
-            emulated = partial(replace, comparison, rows=[row])
-    drove = core.beside_emulated(driven, emulated)
-    return replace(comparison, rows=[*comparison.rows, *driven.rows]), drove
+    track: track of a kart: a name, or a .json file (default: big_S)
+    policy: policy to watch (default: you drive a kart)
+    record: .npz file, one for each drive
+    """
+    from spikedeploy.outputs import check_output
+    from spikedeploy.play.display import check_display
 
+    if record is not None:
+        check_output("--record", record, (policy, track), force)
+    check_display()
+    from spikedeploy.play.session import open_session
+    from spikedeploy.play.window import DriveApp, show
+    from spikedeploy.setup import parse_options
+    from spikedeploy.shipping.exported_run import runnable
 
-def _exported_entry(via: Path, entries: "Sequence[Entry]") -> str:
-    """Return the file among the policies that the folder of --via was exported from."""
-    from spikedeploy import zoo
-    from spikedeploy.shipping.verilog_folder import read_folder
-
-    found = read_folder(via)
-    for entry in entries:
-        if (
-            entry.candidate.format == ".nir"
-            and zoo.sha256(Path(entry.candidate.path)) == found.sha256
-        ):
-            return str(entry.candidate.path)
-    raise ConfigError(
-        f"--via {via} was exported from {found.policy}, which is none of the policies that are "
-        "compared: name it beside them"
-    )
+    policy = policy and runnable(policy)
+    options = parse_options(set_ or ()) | ({} if track is None else {"track": track})
+    drive = open_session(env, options, policy, chip, seed, record)
+    show(DriveApp(drive, env))
+    drive.close()
+    files = [str(path) for path in drive.files]
+    lines = [f"{number}: {outcome.line}" for number, outcome in enumerate(drive.outcomes, 1)]
+    lines += [f"wrote {path}" for path in files]
+    outcomes = [vars(outcome) for outcome in drive.outcomes]
+    print_result(json, {"episodes": outcomes, "files": files}, *lines)
 
 
 def demo(
@@ -458,7 +443,7 @@ def reproduce(
     update: write the numbers found into cards, where all returns are equal
     """
     from spikedeploy import zoo
-    from spikedeploy.make_env import confirm
+    from spikedeploy.policies.registry import confirm
     from spikedeploy.shipping import reproduce as shipping
 
     evaluations = [shipping.read_evaluation(name) for name in names or zoo.names()]

@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
@@ -210,8 +210,9 @@ def doctor(*, json: Json = False) -> None:
     from spikedeploy.reports.table import Table
 
     found = [*_versions(), *_wrong(), _tested(), _threads(), _tried("rendering", _draw)]
-    policies = (_tried(name, partial(_opened, name)) for name in zoo.names())
-    found += _alike(policies, {each.detail for each in found})
+    for policy in (_tried(name, partial(_opened, name)) for name in zoo.names()):
+        if policy.ok or policy.detail not in {each.detail for each in found}:
+            found.append(policy)
     marks = {True: "✓", False: "✗", None: " "}
     rows = [(marks[f.ok], f.name, f.detail) for f in found]
     _show(
@@ -280,19 +281,3 @@ def _tried(name: str, attempt: Callable[[], str]) -> DoctorFinding:
         from spikedeploy.user_errors import one_line
 
         return DoctorFinding(name, False, one_line(error) or f"{type(error).__name__}: {error}")
-
-
-def _alike(policies: Iterable[DoctorFinding], said: Collection[str]) -> Iterator[DoctorFinding]:
-    """The findings on policies, of which those that fail alike are one.
-
-    said: details that stand above.
-    """
-    failed: dict[str, list[str]] = {}
-    for each in policies:
-        if each.ok:
-            yield each
-        else:
-            failed.setdefault(each.detail, []).append(each.name)
-    for detail, (first, *others) in failed.items():
-        name = f"{first} and {len(others)} others" if others else first
-        yield DoctorFinding(name, False, "not opened, see above" if detail in said else detail)

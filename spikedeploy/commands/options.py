@@ -91,12 +91,7 @@ PolicyNames = Annotated[
 ]
 OwnNetwork = Annotated[str, typer.Option("--network", "--start", metavar="module:Class|FILE.nir")]
 File = Annotated[Path, typer.Option(exists=True, dir_okay=False)]
-NetworkFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE.nir", exists=True, dir_okay=False, autocompletion=completion.networks
-    ),
-]
+NetworkFile = Annotated[Path, typer.Argument(metavar="FILE.nir", exists=True, dir_okay=False)]
 Folder = Annotated[Path, typer.Option(metavar="FOLDER", exists=True, file_okay=False)]
 Limits = Annotated[
     Switch,

@@ -1,14 +1,17 @@
-"""The result of a comparison: every row beside its reference, and where its energy goes."""
+"""The result of a comparison: every row beside its reference, and where its energy goes.
+
+A row of a report is made of `Performance`, `ReferenceAgreement`, `policies.costs.Costs` and the
+metrics of episodes, whose fields say how a report shows them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from spikedeploy import envs, zoo
+from spikedeploy import zoo
 from spikedeploy.comparison.episodes import (
     Episode,
     median_divergence,
@@ -23,7 +26,7 @@ from spikedeploy.comparison.statistics import (
     stratified_bootstrap,
 )
 from spikedeploy.policies import costs
-from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by
+from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by, reported
 from spikedeploy.policies.registry import BASELINES, UNTRAINED
 from spikedeploy.runtime.chips.damage import sum_damage
 from spikedeploy.runtime.emulator.running_network import chip_or_float
@@ -31,19 +34,7 @@ from spikedeploy.runtime.metrics.energy import BREAK_EVEN_TABLES, break_even_sop
 from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
 from spikedeploy.setup import Setup
 
-_AGREEMENT = (
-    "reference",
-    "difference_mean",
-    "difference_ci95",
-    "ratio_to_reference",
-    "success_difference_mean",
-    "success_difference_ci95",
-    "action_rmse",
-    "rmse_to_ann",
-    "actions_equal",
-    "actions_equal_to_ann",
-    "first_divergence",
-)
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -76,11 +67,6 @@ class Row:
     def mean(self) -> float:
         """Mean return."""
         return float(np.mean(self.returns))
-
-    @property
-    def training_seeds(self) -> int | None:
-        """Trainings that it is of: a file holds one; None for what was not trained."""
-        return None if self.entry.candidate.format in UNTRAINED else 1
 
     @cached_property
     def costs(self) -> Costs:
@@ -118,6 +104,116 @@ class Row:
         return found
 
 
+@dataclass(frozen=True, kw_only=True)
+class Performance:
+    """Returns and successes of a row, alone and beside the float ANN and the baseline.
+
+    training_seeds: trainings that it is of: a file holds one; None for what was not trained
+    return_std: standard deviation of the episodes
+    return_ci95, ...: 95 % intervals, of rates by Wilson, else by the bootstrap
+    success_rate: by the environment, the key of --success, or the registered threshold of returns
+    failure_rate: a terminal state other than success: a fall, a crash, a stall
+    normalised_score: (return - baseline) / (ANN - baseline); random actions, or the gait alone
+    returns, successes, failures: of each episode (n,)
+    """
+
+    training_seeds: int | None
+    episodes: int
+    return_mean: float = reported("mean of the episodes, with its 95% interval", "return", ",.Rf")
+    return_std: float
+    return_ci95: Interval
+    return_iqm: float = reported("mean of the middle half of the returns", "IQM", ",.Rf")
+    return_iqm_ci95: Interval
+    risk: float = reported("mean return of the worst 5% of the episodes", "risk", ",.Rf")
+    risk_ci95: Interval
+    success_rate: float | None = reported("episodes that succeed", "success", ".0%")
+    success_ci95: Interval | None
+    failure_rate: float | None = reported("episodes that end in a failure", "ended early", ".0%")
+    failure_ci95: Interval | None
+    ratio_to_float_ann: float | None = reported("return / that of the float ANN", "of ANN", ".1%")
+    normalised_score: float | None = reported("0: the baseline; 100: the ANN", "score", ".0p")
+    returns: list[float]
+    successes: list[bool]
+    failures: list[bool]
+
+    @classmethod
+    def of(cls, row: Row, ann: Row | None, baseline: Row | None, foreign: bool) -> "Performance":
+        """Return that of a row; intervals of one row are the same in any report."""
+        estimate = bootstrap(row.returns, _rng())
+        others = stratified_bootstrap([row.returns], _rng())
+        succeeded = share(row.successes) if row.successes else None
+        failed = share(row.failures) if row.failures else None
+        return cls(
+            training_seeds=None if row.entry.candidate.format in UNTRAINED else 1,
+            episodes=len(row.episodes),
+            return_mean=estimate.mean,
+            return_std=float(np.std(row.returns)),
+            return_iqm=others.iqm.mean,
+            risk=others.risk.mean,
+            return_ci95=estimate.ci95,
+            return_iqm_ci95=others.iqm.ci95,
+            risk_ci95=others.risk.ci95,
+            success_rate=succeeded.mean if succeeded else None,
+            success_ci95=succeeded.ci95 if succeeded else None,
+            failure_rate=failed.mean if failed else None,
+            failure_ci95=failed.ci95 if failed else None,
+            ratio_to_float_ann=_ratio(row, ann, foreign) if ann else None,
+            normalised_score=_score(row, baseline, ann) if ann and baseline else None,
+            returns=row.returns,
+            successes=row.successes,
+            failures=row.failures,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceAgreement:
+    """Differences of a row to its reference and to the float ANN; None where there is none.
+
+    reference: on a chip its float twin, else the float ANN
+    difference_mean: on the same seeds, paired, with its 95 % interval
+    actions_equal, action_rmse: on observations of the reference; ..._to_ann: of the float ANN
+    first_divergence: median control step; None where half of the episodes never diverge
+    """
+
+    reference: str | None = reported("policy of comparison", "reference", "")
+    difference_mean: float | None = reported("of return, paired", "difference", "+,.Rf")
+    difference_ci95: Interval | None = None
+    ratio_to_reference: float | None = reported("of the mean returns", "ratio", ".1%")
+    success_difference_mean: float | None = reported("in percentage points", "finished", "+.1p")
+    success_difference_ci95: Interval | None = None
+    actions_equal: float | None = reported("equal actions", "same action", ".1%")
+    actions_equal_to_ann: float | None = reported("the same, with the float ANN", "as ANN", ".1%")
+    action_rmse: float | None = reported("of all actions", "action RMSE", ".4f")
+    rmse_to_ann: float | None = reported("the same, with the float ANN", "to ANN", ".4f")
+    first_divergence: float | None = reported("actions differ by 0.01", "diverges", ",.0f")
+
+    @classmethod
+    def of(cls, row: Row, reference: Row, ann: Row | None, foreign: bool) -> "ReferenceAgreement":
+        """Return that of two rows on the same seeds."""
+        difference = paired_difference(row.returns, reference.returns, _rng())
+        known = row.successes and reference.successes
+        success = paired_difference(row.successes, reference.successes, _rng()) if known else None
+        agreements = {
+            name: [episode.agreement[name] for episode in row.episodes]
+            for name in row.episodes[0].agreement
+        }
+        with_reference = agreements[reference.entry.label]
+        with_ann = agreements.get(ann.entry.label) if ann else None
+        return cls(
+            reference=reference.entry.label,
+            difference_mean=difference.mean,
+            difference_ci95=difference.ci95,
+            ratio_to_reference=_ratio(row, reference, foreign),
+            success_difference_mean=success.mean if success else None,
+            success_difference_ci95=success.ci95 if success else None,
+            action_rmse=pooled_rmse(with_reference),
+            rmse_to_ann=pooled_rmse(with_ann) if with_ann else None,
+            actions_equal=pooled_equality(with_reference),
+            actions_equal_to_ann=pooled_equality(with_ann) if with_ann else None,
+            first_divergence=median_divergence(with_reference),
+        )
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Rows that played the same seeds.
@@ -126,7 +222,7 @@ class Comparison:
     seeds: (n,)
     rows: in the order of the line-up
     foreign: whether the environment is not ours
-    period: time of a control step [s], where it is not as the environment's class says
+    period: time of a control step [s]; None where it is not known
     """
 
     env: str
@@ -150,77 +246,24 @@ class Comparison:
 
     def as_json(self) -> list[dict[str, Any]]:
         """The rows as plain data, for a report."""
-        return [
-            row.identity()
-            | self._performance(row)
-            | self._agreement(row)
-            | self._costs(row)
-            | row.metrics()
-            | ({"foreign": True} if self.foreign else {})
-            for row in self.rows
-        ]
-
-    def _performance(self, row: Row) -> dict[str, Any]:
-        """Returns and successes, alone and beside the float ANN and the baseline."""
         ann, baseline = self.of_kind("ann"), self.of_kind(*BASELINES)
-        estimate = bootstrap(row.returns, _rng())
-        succeeded = share(row.successes) if row.successes else None
-        failed = share(row.failures) if row.failures else None
-        others = stratified_bootstrap([row.returns], _rng())
-        return {
-            "training_seeds": row.training_seeds,
-            "episodes": len(row.episodes),
-            "return_mean": estimate.mean,
-            "return_std": float(np.std(row.returns)),
-            "return_iqm": others.iqm.mean,
-            "risk": others.risk.mean,
-            "return_ci95": estimate.ci95,
-            "return_iqm_ci95": others.iqm.ci95,
-            "risk_ci95": others.risk.ci95,
-            "success_rate": succeeded.mean if succeeded else None,
-            "success_ci95": succeeded.ci95 if succeeded else None,
-            "failure_rate": failed.mean if failed else None,
-            "failure_ci95": failed.ci95 if failed else None,
-            "ratio_to_float_ann": self._ratio(row, ann) if ann else None,
-            "normalised_score": _score(row, baseline, ann) if ann and baseline else None,
-            "returns": row.returns,
-            "successes": row.successes,
-            "failures": row.failures,
-        }
-
-    def _ratio(self, row: Row, other: Row) -> float | None:
-        """Share of a return; None if the other is not positive, so that a share has no meaning."""
-        return row.mean / other.mean if other.mean > 0 or not self.foreign else None
-
-    def _agreement(self, row: Row) -> dict[str, Any]:
-        """Differences to the reference and to the float ANN."""
-        reference = self.row(row.entry.reference) if row.entry.reference else None
-        if reference is None:
-            return dict.fromkeys(_AGREEMENT)
-        difference = paired_difference(row.returns, reference.returns, _rng())
-        known = row.successes and reference.successes
-        success = paired_difference(row.successes, reference.successes, _rng()) if known else None
-        agreements = {
-            name: [episode.agreement[name] for episode in row.episodes]
-            for name in row.episodes[0].agreement
-        }
-        with_reference = agreements[reference.entry.label]
-        ann = self.of_kind("ann")
-        with_ann = agreements.get(ann.entry.label) if ann else None
-        found = (
-            reference.entry.label,
-            difference.mean,
-            difference.ci95,
-            self._ratio(row, reference),
-            success.mean if success else None,
-            success.ci95 if success else None,
-            pooled_rmse(with_reference),
-            pooled_rmse(with_ann) if with_ann else None,
-            pooled_equality(with_reference),
-            pooled_equality(with_ann) if with_ann else None,
-            median_divergence(with_reference),
-        )
-        return dict(zip(_AGREEMENT, found, strict=True))
+        found = []
+        for row in self.rows:
+            reference = self.row(row.entry.reference) if row.entry.reference else None
+            agreement = (
+                ReferenceAgreement.of(row, reference, ann, self.foreign)
+                if reference
+                else ReferenceAgreement()
+            )
+            found.append(
+                row.identity()
+                | vars(Performance.of(row, ann, baseline, self.foreign))
+                | vars(agreement)
+                | self._costs(row)
+                | row.metrics()
+                | ({"foreign": True} if self.foreign else {})
+            )
+        return found
 
     def _costs(self, row: Row) -> dict[str, Any]:
         """Operations, memory and energy of an inference."""
@@ -229,11 +272,12 @@ class Comparison:
         tables = self.setup.energy or (
             FLOAT_TABLES if chip is None else priced_by(chip_or_float(chip))
         )
-        energy, latency = (
-            _select_tables(tables, found.energy_j),
-            _select_tables(tables, found.latency_s),
-        )
-        terms = _select_tables(tables, found.energy_terms_j)
+
+        def by_table(values: Mapping[str, Any]) -> dict[str, Any]:
+            return {name: values[name] for name in tables if name in values}
+
+        energy, latency = by_table(found.energy_j), by_table(found.latency_s)
+        terms = by_table(found.energy_terms_j)
         return {
             "clock": found.clock,
             **self._late(found.control_steps_late),
@@ -243,14 +287,12 @@ class Comparison:
             "energy_interval_j": {name: [each.low, each.high] for name, each in energy.items()},
             "latency_per_inference_s": {name: each.value for name, each in latency.items()},
             "latency_interval_s": {name: [each.low, each.high] for name, each in latency.items()},
-            "energy_zero_skipping_j": _select_tables(tables, found.energy_zero_skipping_j),
+            "energy_zero_skipping_j": by_table(found.energy_zero_skipping_j),
             "energy_terms_j": terms,
-            "energy_unknown": {
-                n: [*each] for n, each in _select_tables(tables, found.energy_unknown).items()
-            },
+            "energy_unknown": {n: [*each] for n, each in by_table(found.energy_unknown).items()},
             "energy_total_j": {name: found.total_j(name) for name in terms},
-            "messages_placed_j": _select_tables(tables, found.messages_placed_j),
-            "static_energy_j": static(chip, self.env, self.period),
+            "messages_placed_j": by_table(found.messages_placed_j),
+            "static_energy_j": static(chip, self.period),
             **_break_even(found, ann.costs if ann else None, tables),
         }
 
@@ -258,35 +300,18 @@ class Comparison:
         """Delay from an observation to the first and the last action that it reaches."""
         if steps is None or not any(steps):
             return {}
-        period = self.period or control_period(self.env)
-        seconds = None if period is None else [n * period for n in steps]
+        seconds = None if self.period is None else [n * self.period for n in steps]
         return {"control_steps_late": list(steps), "late_s": seconds}
 
 
-def static(chip: str | None, env: str, period: float | None = None) -> dict[str, float]:
+def static(chip: str | None, period: float | None) -> dict[str, float]:
     """Measurement -> energy [J] of the chip's static power in a control step; never added.
 
-    period: time of a control step [s] where it is known, else as the environment's class says
+    period: time of a control step [s]
     """
     called = chip_or_float(chip) if chip else None
     powers = STATIC.get(called.name, ()) if called else ()
-    period = period or (control_period(env) if powers else None)
     return {power.name: static_energy(period, power) for power in powers} if period else {}
-
-
-def control_period(env: str) -> float | None:
-    """Time of a control step [s], as the class of one of ours says; None where it does not."""
-    if envs.spec(env).foreign:
-        return None
-    module, _, name = envs.spec(env).target.partition(":")
-    world = getattr(import_module(module), name)
-    rate = world.metadata.get("render_fps")
-    return getattr(world, "CONTROL_DT", 1.0 / rate if rate else None)
-
-
-def _select_tables(tables: Sequence[str], found: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries of the tables."""
-    return {name: found[name] for name in tables if name in found}
 
 
 def _break_even(found: Costs, ann: Costs | None, tables: Sequence[str]) -> dict[str, Any]:
@@ -306,6 +331,11 @@ def _break_even(found: Costs, ann: Costs | None, tables: Sequence[str]) -> dict[
             saved = ann.energy_terms_j[name]["operations"] - ann.energy_zero_skipping_j[name]
             skipping[name] = break_even_sops(terms, sops, total - saved, TABLES[name])
     return {"break_even_sops": dense, "break_even_sops_zero_skipping": skipping}
+
+
+def _ratio(row: Row, other: Row, foreign: bool) -> float | None:
+    """Share of a return; None if the other is not positive, so that a share has no meaning."""
+    return row.mean / other.mean if other.mean > 0 or not foreign else None
 
 
 def _score(row: Row, baseline: Row, ann: Row) -> float | None:

@@ -15,7 +15,6 @@ from spikedeploy import envs
 from spikedeploy.comparison.episode_metrics import measure, measure_named
 from spikedeploy.comparison.lineup import Entry
 from spikedeploy.envs.rollout import Rollout, rollout
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.costs import Costs
 from spikedeploy.policies.registry import Candidate, Player, open_policy
 from spikedeploy.runtime.chips.damage import Damage
@@ -175,17 +174,14 @@ def summarise(
 
 
 def period_of(env: str, setup: Setup) -> float | None:
-    """Time of a control step [s] by the options; None where it is that of the class, or unknown."""
-    if not envs.spec(env).foreign and not setup.options():
-        return None
+    """Time of a control step [s]; None where it is not known."""
     world: Any = _environment(env, setup).unwrapped
-    period: float | None = world.CONTROL_DT
-    return period
+    return getattr(world, "CONTROL_DT", None)
 
 
 @lru_cache(_KEPT)
 def _environment(name: str, setup: Setup) -> gymnasium.Env[Any, Any]:
-    return make_env(name, setup.options())
+    return envs.make(name, **setup.options())
 
 
 @lru_cache(_KEPT)

@@ -22,12 +22,12 @@ from spikedeploy.comparison.episodes import (
 from spikedeploy.comparison.lineup import Entry, remark_on_chip
 from spikedeploy.console import progress, say
 from spikedeploy.envs.repeats import check_repeats
-from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
+from spikedeploy.envs.rollout import EpisodeRecorder, rollout
 from spikedeploy.jobs import local_pool
-from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import mark
 from spikedeploy.policies.registry import (
     check_fit,
+    confirm,
     find,
     open_policy,
 )
@@ -66,6 +66,8 @@ def compare_policies(
     """
     setup, references = entries[0].setup, [id(entry.reference) for entry in entries]
     _check(env, setup.options(), entries, seeds)
+    for remark in filter(None, map(remark_on_chip, entries)):
+        say(remark)
     played: dict[Entry, list[Episode]] = {}
     with (
         TemporaryDirectory() as folder,
@@ -99,7 +101,7 @@ def _check(
         raise ConfigError(
             f"seed {min(seeds)} may have been trained on; evaluation starts at {EVALUATION}"
         )
-    world = make_env(env, options)
+    world = envs.make(env, **options)
     for entry in entries:
         check_fit(entry.candidate, world)
         if entry.on_chip:
@@ -149,11 +151,10 @@ def run_policy(
     if env is None:
         confirm(name, None, candidate.path)
     foreign = envs.spec(name).foreign
-    world: Any = make_env(name, setup.options(), render_mode=mode)
+    world: Any = envs.make(name, **setup.options(), render_mode=mode)
     player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, played_with)
     period = world.unwrapped.CONTROL_DT
     episodes: list[Episode] = []
-    first: Rollout | None = None
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds if loop is None else loop.seeds(seeds):
             if loop is not None:
@@ -163,31 +164,14 @@ def run_policy(
                     played = rollout(world, player, seed, on_step)
             else:
                 played = rollout(world, player, seed)
-            first = first or played
-            episodes.append(summarise(player, played, {}, setup.metric, foreign))
+                episodes.append(summarise(player, played, {}, setup.metric, foreign))
             done()
-    if first and foreign and loop is None and len(episodes) > 1:
-        _say_whether_it_repeats(world, first)
     if remark := getattr(world.unwrapped, "remark", ""):
         say(remark)
     world.close()
     if loop is not None:  # it may have played more
         seeds = range(seeds[0], seeds[0] + len(episodes))
     return Comparison(played.env_id, seeds, [Row(entry, episodes)], foreign, period)
-
-
-def _say_whether_it_repeats(world: Any, first: Rollout) -> None:  # noqa: ANN401
-    """Warn if an environment, reset with the first seed again, begins otherwise than before.
-
-    It is reset for it alone: whether it goes on the same, `check_repeats` tries in a simulation,
-    and what is run may be a robot.
-    """
-    if not np.array_equal(world.reset(seed=first.seed)[0], first.observation[0]):
-        say(
-            f"{first.env_id} began otherwise when it was reset once more with seed {first.seed}: "
-            "it carries something from one episode to the next, or is random beyond its seed. "
-            "These episodes depend on their order. `compare` says more"
-        )
 
 
 @contextmanager

@@ -6,7 +6,6 @@ risk. Two policies on the same seeds share terrain and pushes, so their *paired*
 far smaller variance than the difference of their means.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 _RESAMPLES = 10_000
 _TOGETHER = 500  # resamples of whole tables at once
-_LEVEL = 0.95
+LEVEL = 0.95
 _WORST = 0.05  # of the episodes, whose mean is the risk
 # Values below which no interval is printed. That of a bootstrap lies within the range of its n
 # values (of 2 or 3 it is the range), which holds the median of what they are drawn from in
@@ -89,7 +88,7 @@ def bootstrap(values: ArrayLike, rng: np.random.Generator) -> Estimate:
     """The mean of `values` (n,) and the interval of means of resamples with replacement."""
     sample = np.asarray(values, dtype=np.float64)
     picks = rng.integers(sample.size, size=(_RESAMPLES, sample.size))
-    return Estimate(float(sample.mean()), _interval(sample[picks].mean(axis=1)))
+    return Estimate(float(sample.mean()), interval(sample[picks].mean(axis=1)))
 
 
 def stratified_bootstrap(values: ArrayLike, rng: np.random.Generator) -> ReturnEstimates:
@@ -102,37 +101,13 @@ def stratified_bootstrap(values: ArrayLike, rng: np.random.Generator) -> ReturnE
     each = np.asarray(values, np.float64)
     trainings, episodes = each.shape
     found = []
-    for drawn, picks in _draws(trainings, episodes, rng):
+    for drawn, picks in draws(trainings, episodes, rng):
         ordered = np.sort(each[drawn, picks].reshape(len(drawn), -1), axis=1)
         found.append((ordered.mean(-1), _middle(ordered), _worst(ordered)))
     sample = float(each.mean()), iqm(each), risk(each)
     resampled = map(np.concatenate, zip(*found, strict=True))
     pairs = zip(sample, resampled, strict=True)
-    return ReturnEstimates(*(Estimate(value, _interval(many)) for value, many in pairs))
-
-
-def t_interval(values: ArrayLike) -> Estimate:
-    """The mean of `values` (n,), of n trainings, and the interval of Student's t (1908).
-
-    A bootstrap of three trainings never leaves their range, so that it is too narrow; this one is
-    4.3 standard errors to either side at 3, 2.8 at 5. It takes the values for normal. Of one value
-    nothing follows: the interval has no bounds.
-    """
-    sample = np.asarray(values, np.float64)
-    mean, n = float(sample.mean()), sample.size
-    if n < 2:
-        return Estimate(mean, (-math.inf, math.inf))
-    half = _t_quantile(n - 1) * float(sample.std(ddof=1)) / math.sqrt(n)
-    return Estimate(mean, (mean - half, mean + half))
-
-
-def _t_quantile(freedom: int) -> float:
-    """The bound that |t|, with so many degrees of freedom, stays below in 95 % of all cases."""
-    # with t = sqrt(freedom) tan(angle) the density of the angle is ~ cos(angle)^(freedom - 1)
-    angle = np.linspace(0, math.pi / 2, 100_001)
-    density = np.cos((angle[1:] + angle[:-1]) / 2) ** (freedom - 1)
-    below = np.concatenate([[0.0], np.cumsum(density)]) / density.sum()
-    return math.sqrt(freedom) * math.tan(float(np.interp(_LEVEL, below, angle)))
+    return ReturnEstimates(*(Estimate(value, interval(many)) for value, many in pairs))
 
 
 def share(events: ArrayLike) -> Estimate:
@@ -158,30 +133,7 @@ def paired_difference(
     return bootstrap(left - right, rng)
 
 
-def nested_ratio(values: ArrayLike, reference: ArrayLike, together: bool = False) -> Estimate:
-    """Mean of values (S, n) of S trainings in n episodes / mean of a reference in the same.
-
-    reference: (n,), or (R, n) of R trainings
-    together: whether these are the same trainings, which are drawn together
-
-    A resample draws trainings of both, then episodes, the same for all of them; the `mean` of the
-    estimate is the ratio of the sample itself. NaN where the reference is 0.
-    """
-    rng = np.random.default_rng(0)
-    each = np.asarray(values, np.float64)
-    beside = np.atleast_2d(np.asarray(reference, np.float64))
-    if not beside.any():
-        return Estimate(math.nan, (math.nan, math.nan))
-    trainings, episodes = each.shape
-    ratios = []
-    for drawn, picks in _draws(trainings, episodes, rng):
-        of = drawn if together else rng.integers(len(beside), size=(len(drawn), len(beside), 1))
-        with np.errstate(divide="ignore", invalid="ignore"):  # rare successes, none drawn
-            ratios.append(each[drawn, picks].mean((1, 2)) / beside[of, picks].mean((1, 2)))
-    return Estimate(float(each.mean() / beside.mean()), _interval(np.concatenate(ratios)))
-
-
-def _draws(
+def draws(
     trainings: int, episodes: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Resamples of trainings (R, S, 1), and of episodes (R, 1, n) that they share; R at once."""
@@ -190,8 +142,8 @@ def _draws(
         yield drawn, rng.integers(episodes, size=(_TOGETHER, 1, episodes))
 
 
-def _interval(resampled: NDArray[np.float64]) -> tuple[float, float]:
+def interval(resampled: NDArray[np.float64]) -> tuple[float, float]:
     """The middle 95 % of what resamples gave; those that gave no number are left out."""
-    tail = (1 - _LEVEL) / 2
+    tail = (1 - LEVEL) / 2
     low, high = np.nanquantile(resampled, (tail, 1 - tail))
     return float(low), float(high)

@@ -20,16 +20,13 @@ class _Words(NamedTuple):
     field: str
     less: str
     equal: str
-    more: str
-    all_more: str
     others: str
 
 
-_RETURN = _Words(
-    "returns", "earn less", "earns as much", "earns more", "earn more", "What the others earn"
+_RETURN = _Words("returns", "earn less", "earns as much", "What the others earn")
+_FINISH = _Words(
+    "successes", "finish less often", "finishes as often", "How often the others finish"
 )
-_FINISH = _Words("successes", "finish less often", "finishes as often", "finishes more often",
-                 "finish more often", "How often the others finish")  # fmt: skip
 
 
 def has_few_episodes(row: Row) -> bool:
@@ -132,23 +129,11 @@ def _smallest(row: Row, rows: Sequence[Row], words: _Words) -> Iterator[str]:
         yield f"The one float policy here is shown to {words.less}."
     elif count:
         yield f"None of the {count} float policies here {words.equal}."
-    rest: list[str] = []
-    better: list[str] = []
-    for each in equal:
-        if not each["training_seeds"]:
-            is_better = _difference(each, row, words)[0] > 0
-            (better if is_better else rest).append(each["policy"])
-    if rest:
-        verb, either = "is" if len(rest) == 1 else "are", " either" * bool(networks)
-        yield f"The {_subject(rest)} {verb} not shown to {words.less}{either}."
-    if better:
-        verb = words.more if len(better) == 1 else words.all_more
-        yield f"The {_subject(better)} {verb} than {row['policy']}."
-
-
-def _subject(names: Sequence[str]) -> str:
-    """`script gait`, `scripts gait and gap`."""
-    return f"script{'s' * (len(names) > 1)} {' and '.join(names)}"
+    scripts = [each["policy"] for each in equal if not each["training_seeds"]]
+    if scripts:
+        subject = f"script{'s' * (len(scripts) > 1)} {' and '.join(scripts)}"
+        verb, either = "is" if len(scripts) == 1 else "are", " either" * bool(networks)
+        yield f"The {subject} {verb} not shown to {words.less}{either}."
 
 
 # sentences on an SNN on a chip beside its float twin, and on the others

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy import envs
 from spikedeploy.emulation.rasters import in_batch, read_rasters
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import confirm, make_env
-from spikedeploy.policies.registry import FLOAT, Candidate, find, open_policy
+from spikedeploy.policies.registry import FLOAT, Candidate, confirm, find, open_policy
 from spikedeploy.runtime.analysis.activity import TAU
 from spikedeploy.runtime.analysis.calibration import tune_to_float, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import Drift
@@ -123,7 +123,7 @@ def observed_inputs(
             "--input"
         )
     confirm(where, env, str(candidate.path))
-    world = make_env(where, options)
+    world = envs.make(where, **options)
     player = open_policy(candidate, FLOAT, world)
     played = [rollout(world, player, seed) for seed in seeds]
     world.close()

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import Candidate, Player, find, open_policy
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
@@ -281,7 +280,7 @@ def open_session(
     """
     if record is not None and suffix(record) != ".npz":
         raise ConfigError(f"--record {record}: a drive is kept in a file that ends in .npz")
-    world = make_env(env, options, render_mode="rgb_array")
+    world = envs.make(env, **options, render_mode="rgb_array")
     return Session(world, _driver(env, world, policy, chip), seed, record)
 
 

@@ -8,7 +8,7 @@ costs        spikes, operations and energy of an inference
 nir          NIR files: spiking policies, on an emulated chip or as their float twin
 onnx         ONNX files: float networks, on one thread
 native       shared objects of C, which run only where the user permits the file
-run          run folders: the best checkpoint, in torch
+
 run_record   configuration, versions and provenance of a run folder, read without torch
 scripts      the built-in gait, random and gap; teachers of `distill`
 """

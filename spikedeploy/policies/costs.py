@@ -51,33 +51,57 @@ from spikedeploy.runtime.metrics.traffic import packed_bytes
 FLOAT_TABLES = tuple(name for name, table in TABLES.items() if "mac" in table.joules)
 
 
-class CostColumn(NamedTuple):
-    """The report of a field of `Costs`.
+class ReportField(NamedTuple):
+    """How a report shows a field of its rows.
 
     meaning: what it is
-    key: key of a row of a report
     title: title of its column; "" for none
-    form: format of a cell
+    form: format of a cell, in which R stands for the decimals of a return, p for percentage points
+    key: key of a row; "" for the name of the field
     table: table of the report that has the column
+    bounds: key of the interval that stands beside returns and points; "" for none
     """
 
     meaning: str
-    key: str
     title: str = ""
     form: str = ",.0f"
-    table: str = "operations"
+    key: str = ""
+    table: str = ""
+    bounds: str = ""
 
 
-def _cost(*words: str) -> Any:  # noqa: ANN401
-    return field(default=None, metadata={"column": CostColumn(*words)})
+def reported(*words: str) -> Any:  # noqa: ANN401
+    """Return a field of a dataclass, None by default, with its ReportField."""
+    return field(default=None, metadata={"report": ReportField(*words)})
+
+
+def report_fields(record: type) -> dict[str, ReportField]:
+    """Name -> how a report shows it, for the fields of a dataclass that it shows."""
+    names, found = {each.name for each in fields(record)}, {}
+    for each in fields(record):
+        if shown := each.metadata.get("report"):
+            interval = f"{each.name.removesuffix('_mean')}_ci95"
+            bounds = interval if interval in names else ""
+            found[each.name] = shown._replace(key=shown.key or each.name, bounds=bounds)
+    return found
+
+
+def _size(meaning: str, title: str, form: str = ",.0f") -> Any:  # noqa: ANN401
+    return reported(meaning, title, form, "", "size")
+
+
+def _count(meaning: str, key: str, title: str = "", form: str = ",.0f") -> Any:  # noqa: ANN401
+    return reported(meaning, title, form, key, "operations")
 
 
 @dataclass(frozen=True)
 class Costs:
     """Means per inference; None where a kind of policy has no such cost.
 
-    sparsity: none where a chip's neurons spike several times in a timestep; one inference is the
-        sample of NeuroBench's activation sparsity
+    sparsity: of the spiking layers; none where a chip's neurons spike several times in a timestep;
+        one inference is the sample of NeuroBench's activation sparsity
+    bias_sops: operations of the always-on axon that carries the biases
+    saturations: in all episodes
     effective_acs, effective_macs, dense: of every weight matrix; the readout counts, though it runs
         on the host; biases do not, nor does an identity into the output, which connects alone
     clock: how layers advance (runtime.convention.Clock), and whether that is assumed
@@ -93,43 +117,23 @@ class Costs:
     messages_placed_j: energy of messages on the cores that `check` gives to each layer
     """
 
-    sparsity: float | None = _cost(
-        "1 - spikes / (neurons × T), spiking layers", "sparsity", "sparsity", ".1%"
-    )
-    spikes: float | None = _cost("of the spiking layers", "spikes_per_inference", "spikes")
-    input_spikes: float | None = _cost("of the encoder", "input_spikes_per_inference", "input")
-    sops: float | None = _cost(
-        "synaptic operations: spikes × non-zero fan-out", "sops_per_inference", "SOPs"
-    )
-    bias_sops: float | None = _cost(
-        "of the always-on axon that carries the biases", "bias_sops_per_inference", "+ bias"
-    )
-    effective_acs: float | None = _cost(
-        "NeuroBench Effective_ACs, the readout included", "effective_acs", "ACs"
-    )
-    effective_macs: float | None = _cost(
-        "NeuroBench Effective_MACs: zeros are skipped", "effective_macs", "MACs"
-    )
-    dense: float | None = _cost(
-        "NeuroBench Dense: all inputs × all weights, in all T timesteps", "macs_dense", "dense"
-    )
-    footprint: float | None = _cost(
-        "NeuroBench Footprint of the file", "footprint", "bytes", ",.0f", "size"
-    )
-    footprint_packed: float | None = _cost(
-        "bytes of weights and biases on the chip", "footprint_packed", "packed", ",.0f", "size"
-    )
-    connection_sparsity: float | None = _cost(
-        "NeuroBench ConnectionSparsity", "connection_sparsity", "zero weights", ".1%", "size"
-    )
-    synapses: float | None = _cost("inputs × non-zero weights of a timestep", "synapses")
-    neuron_updates: float | None = _cost("with something to add", "neuron_updates_per_inference")
-    neuron_idle: float | None = _cost("of other neurons", "neuron_idle_per_inference")
-    messages: float | None = _cost("between cores", "messages_per_inference")
-    messages_placed: float | None = _cost("on the cores that `check` gives", "messages_placed")
-    saturations: int | None = _cost(
-        "numbers that did not fit a register, in all episodes", "saturations", "sat."
-    )
+    sparsity: float | None = _count("1 - spikes / (neurons × T)", "", "sparsity", ".1%")
+    spikes: float | None = _count("of the spiking layers", "spikes_per_inference", "spikes")
+    input_spikes: float | None = _count("of the encoder", "input_spikes_per_inference", "input")
+    sops: float | None = _count("spikes × non-zero fan-out", "sops_per_inference", "SOPs")
+    bias_sops: float | None = _count("of the biases' axon", "bias_sops_per_inference", "+ bias")
+    effective_acs: float | None = _count("NeuroBench Effective_ACs", "", "ACs")
+    effective_macs: float | None = _count("NeuroBench Effective_MACs: no zeros", "", "MACs")
+    dense: float | None = _count("NeuroBench Dense: all inputs × weights", "macs_dense", "dense")
+    footprint: float | None = _size("NeuroBench Footprint of the file", "bytes")
+    footprint_packed: float | None = _size("weights and biases on the chip [bytes]", "packed")
+    connection_sparsity: float | None = _size("ConnectionSparsity", "zero weights", ".1%")
+    synapses: float | None = _count("inputs × non-zero weights of a timestep", "")
+    neuron_updates: float | None = _count("with an addend", "neuron_updates_per_inference")
+    neuron_idle: float | None = _count("of other neurons", "neuron_idle_per_inference")
+    messages: float | None = _count("between cores", "messages_per_inference")
+    messages_placed: float | None = _count("on the cores that `check` gives", "")
+    saturations: int | None = _count("numbers that did not fit a register", "", "sat.")
     clock: str | None = None
     control_steps_late: tuple[int, int] | None = None
     energy_j: Mapping[str, EnergyEstimate] = field(default_factory=dict)
@@ -141,16 +145,13 @@ class Costs:
 
     def counts(self) -> dict[str, float | None]:
         """Return the numbers that have a key in a report, by key."""
-        return {column.key: getattr(self, name) for name, column in COLUMNS.items()}
+        return {each.key: getattr(self, name) for name, each in report_fields(type(self)).items()}
 
     def total_j(self, table: str) -> float | None:
         """All known terms by a table [J]; None where it has none."""
         return sum(self.energy_terms_j[table].values()) if table in self.energy_terms_j else None
 
 
-COLUMNS: dict[str, CostColumn] = {
-    each.name: each.metadata["column"] for each in fields(Costs) if each.metadata
-}
 NOTHING = Costs(effective_acs=0.0, effective_macs=0.0, dense=0.0)
 # what is no network that we can count, such as a script: its operations are the unknown
 UNCOUNTED = Costs(energy_unknown={name: ("operations",) for name in TABLES})

@@ -9,7 +9,6 @@ policy (`adopt`):
      "encoder": {"kind": "rate", "mode": "regular", "low": [-1, -1], "high": [1, 1]}}
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -44,14 +43,14 @@ from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
-from spikedeploy.runtime.files import read_text
+from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.runtime.metrics.traffic import placed_messages
 from spikedeploy.setup import Setup
 
 _OPENED = 16  # files that are kept, so that a policy which is found and then played is read once
-# which environment it is for is not known, and what marks it as written here
+# of what `adopt` writes; which environment it is for is not known
 _ADOPTED = Provenance("", recipe="run --from")
 
 
@@ -208,10 +207,9 @@ def adopt(
             f"{file} says neither how observations become spikes nor how its output becomes "
             "actions: give --codec FILE.json; docs/own-network.md has one"
         )
-    target = path.with_suffix(".policy.nir")
     if artifact.codec is not None:
         raise ConfigError(f"{file} states its codec: leave --codec out")
-    found, bounds = _read_codec(codec)
+    found, actions = _read_codec(codec)
     try:
         policy = replace(artifact, codec=found, provenance=_ADOPTED)
     except ArtifactError as error:  # written by hand
@@ -220,8 +218,9 @@ def adopt(
             f"--codec {codec}: {what} Change the encoder, or give a network with "
             f"{found.encoder.width} inputs."
         ) from error
-    if bounds is not None:
-        policy = with_actions(policy, *bounds, f"--codec {codec}: actions")
+    if actions is not None:
+        policy = _with_actions(policy, actions, f"--codec {codec}: actions")
+    target = path.with_suffix(".policy.nir")
     check_output("--from", target, (file, codec), force, _is_adopted)
     check(policy)
     save(policy, target)
@@ -245,12 +244,12 @@ def _is_adopted(path: Path) -> bool:
     return found is not None and (found.env, found.recipe) == (_ADOPTED.env, _ADOPTED.recipe)
 
 
-def with_actions(policy: Artifact, low: Floats, high: Floats, where: str) -> Artifact:
-    """The policy whose output neurons' rates, 0 to 1, become actions from `low` to `high`.
+def _with_actions(policy: Artifact, actions: Any, where: str) -> Artifact:  # noqa: ANN401
+    """Return the policy whose output neurons' rates, 0 to 1, become actions from low to high.
 
-    It is a readout of its own, behind neurons that spike at most once in a timestep.
+    A readout of its own scales them, behind neurons that spike at most once in a timestep.
 
-    low, high: (N,) of actions, of which -1 and 1 stand for the bounds of the environment's
+    actions: low and high (N,), of which -1 and 1 stand for the bounds of the environment's
     """
     graph = policy.graph
     (output,) = graph.outputs
@@ -264,10 +263,15 @@ def with_actions(policy: Artifact, low: Floats, high: Floats, where: str) -> Art
         )
     if policy.codec is None or policy.codec.squash != "none":
         raise ConfigError(f"{where} needs squash 'none': what it gives are the actions")
-    if low.shape != (neurons,) or high.shape != (neurons,) or not np.all(low < high):
-        raise ConfigError(
-            f"{where}: low and high have shapes {low.shape} and {high.shape}; the network has "
-            f"{neurons} output neurons. Give {neurons} finite numbers each, low below high"
+    try:
+        low, high = np.array([actions["low"], actions["high"]], np.float64)
+        sound = low.shape == (neurons,) and (low >= -1).all() and (high <= 1).all()
+    except (TypeError, KeyError, ValueError):
+        sound = False
+    if not sound or not (low < high).all():
+        raise ArtifactError(
+            f'{where} must be {{"low": […], "high": […]}}, from -1 to 1, low below high, a number '
+            f"of each for the network's {neurons} output neurons"
         )
     name = "actions"
     while name in graph.nodes:
@@ -282,47 +286,24 @@ def with_actions(policy: Artifact, low: Floats, high: Floats, where: str) -> Art
 
 
 def read_codec(path: Path) -> Codec:
-    """The codec in a JSON file."""
+    """Return the codec in a JSON file."""
     return _read_codec(path)[0]
 
 
-def _read_codec(path: Path) -> tuple[Codec, tuple[Floats, Floats] | None]:
-    """The codec in a JSON file, and the bounds (N,) of `actions`, where it has them."""
+def _read_codec(path: Path) -> tuple[Codec, Any]:
+    """Return the codec in a JSON file, and its `actions`, or None."""
     try:
-        record = json.loads(read_text(path))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ArtifactError(f"{path} is no JSON that can be read: {error}") from error
-    if not isinstance(record, dict):
-        raise ArtifactError(f"{path} holds no codec, but a {type(record).__name__}")
-    bounds = _bounds(path, record.pop("actions", None))
-    try:
-        arrays = _with_arrays(record)
-    except (ValueError, OverflowError) as error:  # lists of different lengths
-        raise ArtifactError(f"--codec {path} holds lists that are no arrays: {error}") from error
-    try:
-        return Codec.from_record(Record(arrays, str(path))), bounds
-    except ArtifactError as error:
+        record = read_json(path, "docs/own-network.md has a whole one")
+        actions = record.pop("actions", None)
+        return Codec.from_record(Record(_with_arrays(record), str(path))), actions
+    except (ConfigError, ArtifactError, ValueError, OverflowError) as error:
+        # ValueError: lists of different lengths
         found = str(error).removesuffix(". Export the policy again.")  # written by hand
         raise ArtifactError(f"--codec {found}; docs/own-network.md has a whole one") from error
 
 
-def _bounds(path: Path, found: Any) -> tuple[Floats, Floats] | None:  # noqa: ANN401
-    if found is None:
-        return None
-    try:
-        low, high = (np.asarray(found[name], np.float64) for name in ("low", "high"))
-        if found.keys() == {"low", "high"} and (np.abs([low, high]) <= 1).all():
-            return low, high
-    except (TypeError, KeyError, ValueError, AttributeError):
-        pass
-    raise ArtifactError(
-        f'--codec {path}: actions must be {{"low": […], "high": […]}}, a number for each output '
-        "neuron, from -1 to 1, which stand for the bounds of the environment's actions"
-    )
-
-
 def _with_arrays(value: Any) -> Any:  # noqa: ANN401
-    """JSON with arrays for lists."""
+    """Return JSON with arrays for lists."""
     if isinstance(value, dict):
         return {name: _with_arrays(each) for name, each in value.items()}
     return np.asarray(value) if isinstance(value, list) else value

@@ -54,23 +54,17 @@ class OnnxController(Player):
         self._single = self._input.shape[0] == 1 or bool(self._states)
         self.observed = _width(path, self._input)
         self.actions = _width(path, self._output)
-        head = self.metadata.get("head", HEADS[0])
-        if head not in HEADS:
-            raise ArtifactError(f"{path} says its head is {head!r}; known are {', '.join(HEADS)}")
-        self.chooses = head == "discrete"
+        self.chooses = self.metadata.get("head") == "discrete"
         self._sampler = Sampler(self.chooses) if sampled else None
 
     @classmethod
     def describe(cls, path: Path) -> Candidate:
         """The candidate in an ONNX file; files without our metadata count as float networks."""
         policy = cls(path)
-        kind = policy.metadata.get("kind", "ann")
-        if kind not in KINDS:
-            raise ArtifactError(f"{path} says it is of kind {kind!r}; known are {', '.join(KINDS)}")
         return Candidate(
             path=str(path),
             name=path.stem,
-            kind=kind,
+            kind=policy.metadata.get("kind", KINDS[0]),
             format=".onnx",
             env=env_id(policy.metadata.get("env", "")),
             observed=policy.observed,
@@ -159,14 +153,10 @@ class OnnxController(Player):
 
     def _run(self, outputs: list[Any], observations: Floats, states: States) -> list[Floats]:
         observed = observed_numbers(observations)
-        if observed.shape[1:] != (self.observed,):
+        if observed.shape[1:] != (self.observed,) or not np.isfinite(observed).all():
             raise ObservationError(
-                f"{self.path} observes {self.observed} numbers, found {observed.shape[1:]}"
-            )
-        if not np.isfinite(observed).all():
-            row, column = np.argwhere(~np.isfinite(observed))[0]
-            raise ObservationError(
-                f"observation {column} is {observed[row, column]}; all must be finite"
+                f"{self.path} observes {self.observed} numbers, all finite; found "
+                f"{observed.shape[1:]}"
             )
         with np.errstate(over="ignore"):  # 1e308 is finite, and infinite in float32
             batch = observed.astype(self._dtype)
@@ -189,7 +179,7 @@ class OnnxController(Player):
 
 
 def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401
-    """Metadata of the exporter; macs, biases are numbers of 0 or more, fan_out lists of them."""
+    """Metadata of the exporter, whose numbers are checked here."""
     said: dict[str, str] = dict(session.get_modelmeta().custom_metadata_map)
     try:
         macs, biases = float(said.get("macs", 0)), int(said.get("biases", 0))
@@ -199,13 +189,14 @@ def _metadata(path: str | Path, session: Any) -> dict[str, str]:  # noqa: ANN401
     except (ValueError, TypeError, OverflowError, RecursionError):
         sound = False
     if not sound:
-        found = ", ".join(
-            f"{key} = {said[key][:40]!r}" for key in ("macs", "biases", "fan_out") if key in said
-        )
+        found = {key: said[key][:40] for key in ("macs", "biases", "fan_out") if key in said}
         raise ArtifactError(
             f"{path} says {found}; macs and biases must be numbers of 0 or more, fan_out lists of "
             "whole numbers. Export it again"
         )
+    for key, known in (("kind", (*KINDS, _STEP)), ("head", HEADS)):
+        if said.get(key, known[0]) not in known:
+            raise ArtifactError(f"{path} says {key} {said[key]!r}; known are {', '.join(known)}")
     return said
 
 
@@ -214,27 +205,22 @@ def _ends(path: str | Path, session: Any) -> tuple[Any, list[Any]]:  # noqa: ANN
 
     Inputs and outputs of states stand behind them, and are left out.
     """
-    inputs, outputs = session.get_inputs(), session.get_outputs()
     states = rest(session)
     behind = {f"{NEXT}{name}" for name in states}
-    inputs = [each for each in inputs if each.name not in states]
-    outputs = [each for each in outputs if each.name not in behind]
-    if len(inputs) != 1 or not outputs:
-        raise ArtifactError(
-            f"{path} has {len(inputs)} inputs and {len(outputs)} outputs; a policy has one input, "
-            f"the observations, and states, each with an output {NEXT}NAME of its width. Export it "
-            "so"
-        )
+    inputs = [each for each in session.get_inputs() if each.name not in states]
+    outputs = [each for each in session.get_outputs() if each.name not in behind]
     for each in (*inputs, *outputs):
         if each.type not in DTYPES or len(each.shape or ()) != 2:
             raise ArtifactError(
                 f"{path}: {each.name!r} is a {each.type} {each.shape}; a policy takes and puts out "
                 "tensors of floats (batch, width). Export it so"
             )
-    if isinstance(inputs[0].shape[0], int) and inputs[0].shape[0] != 1:
+    batches = [each.shape[0] for each in inputs if isinstance(each.shape[0], int)]
+    if len(inputs) != 1 or not outputs or batches not in ([], [1]):
         raise ArtifactError(
-            f"{path}: {inputs[0].name!r} takes {inputs[0].shape[0]} observations at once; a robot "
-            "has one. Export it with a free first axis"
+            f"{path} has {len(inputs)} inputs {[each.shape for each in inputs]} and {len(outputs)} "
+            "outputs; a policy has one input, the observations, with a free first axis, and "
+            f"states, each with an output {NEXT}NAME of its width. Export it so"
         )
     return inputs[0], outputs
 

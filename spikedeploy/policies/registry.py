@@ -37,7 +37,7 @@ FORMATS = {
     ".onnx": "onnx:OnnxController",
     ".nir": "nir:NirController",
     ".so": "native:NativeController",
-    "run": "run:TorchController",
+    "run": "run_record:TorchController",
     "gait": "scripts:ZeroController",
     "random": "scripts:RandomController",
     "gap": "scripts:GapController",
@@ -142,29 +142,22 @@ class Player(NotCopyable):
 
 def find(reference: str) -> Candidate:
     """The candidate at a path, in the zoo (`hexapod/popsan`), or built in (`gait`, `gap`)."""
+    from spikedeploy.envs.foreign import is_target
+
     if reference in BUILT_IN:
         return BUILT_IN[reference]
     path = zoo.resolve(reference)
-    from spikedeploy.envs.foreign import is_target
-
-    if path is None and is_target(reference):
-        raise ConfigError(
-            f"no policy at {reference!r}: a function of yours plays as a teacher, in "
-            f"`spikedeploy compare ENV --teacher {shlex.quote(reference)}`"
-        )
-    if path is None:
+    format_ = "run" if path and path.is_dir() else suffix(path or "")
+    if path is not None and format_ in FORMATS:
+        return _class_of(format_).describe(path)
+    if format_ == ".zip" or (path is None and is_target(reference)):
+        hint = f"a teacher plays in `spikedeploy compare ENV --teacher {shlex.quote(reference)}`"
+    elif path is None:
         close = difflib.get_close_matches(reference, [*zoo.names(), *BUILT_IN], n=1)
         hint = f"did you mean {close[0]!r}?" if close else _HINT
-        raise ConfigError(
-            f"no policy at {reference!r}: no such file, run folder or shipped policy; {hint}"
-        )
-    if not path.is_dir() and suffix(path) not in FORMATS:
-        named = shlex.quote(str(path))
-        teacher = f"; a teacher plays in `spikedeploy compare ENV --teacher {named}`"
-        raise ConfigError(
-            f"{path} is neither .onnx, .nir nor a run folder{teacher * (suffix(path) == '.zip')}"
-        )
-    return _class_of("run" if path.is_dir() else suffix(path)).describe(path)
+    else:
+        hint = "it is neither .onnx, .nir nor a run folder"
+    raise ConfigError(f"no policy at {reference!r}: {hint}")
 
 
 def open_policy(candidate: Candidate, chip: str | None, env: Env, setup: Setup = DEFAULT) -> Player:
@@ -194,6 +187,17 @@ def check_fit(candidate: Candidate, env: Env) -> None:
         wanted = int(getattr(space, "n", math.prod(space.shape or ())))
         if found not in (None, wanted):
             raise ConfigError(f"{candidate.path} {verb} {found} numbers; {here} has {wanted}")
+
+
+def confirm(found: str, named: str | None, source: str) -> None:
+    """Refuse module:Class that a file names, unless the user names it: its code would be run."""
+    from spikedeploy.envs.foreign import is_target
+
+    if is_target(found) and found != named:
+        raise ConfigError(
+            f"{source} was made for {found}, whose code is not run because a file names it: name "
+            f"it yourself, with --env {found} (in Python env=, the class too)"
+        )
 
 
 def env_id(name: str) -> str | None:

@@ -1,16 +1,18 @@
 """The columns of a comparison: its tables, its table of 80 columns, one row in one line.
 
-Columns of costs are fields of `policies.costs.Costs`; `comparison.episode_metrics` has those of
-episodes.
+Most columns are fields of `Performance`, `ReferenceAgreement` and `Costs`, which say their title,
+meaning and format; `comparison.episode_metrics` has those of episodes.
 """
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+from spikedeploy.comparison.comparison import Performance, ReferenceAgreement
 from spikedeploy.comparison.episode_metrics import drives, metrics_of
 from spikedeploy.comparison.summary import describe_episodes, has_few_episodes
-from spikedeploy.policies.costs import COLUMNS as COST_COLUMNS
+from spikedeploy.policies.costs import Costs, report_fields
 from spikedeploy.reports.table import (
     ABSENT,
     COMMON_TABLE,
@@ -19,7 +21,6 @@ from spikedeploy.reports.table import (
     Row,
     Table,
     escape_markdown,
-    field_cell,
     format_si,
     price_cell,
 )
@@ -38,28 +39,34 @@ def label(row: Row) -> str:
     return f"{row['policy']} · {row['chip']}{'' if row.get('limits', True) else ', limits off'}"
 
 
-def _estimate(field: str, between: str, sign: str = "") -> Cell:
-    """A cell with a return and its interval, alone where episodes are few; a dash where unknown."""
+# cells
+
+
+def field_cell(key: str, form: str = "", bounds: str = "") -> Cell:
+    """A cell with a field, such as `3,413 [3,405, 3,420]`; a dash where it is not known.
+
+    form: as of ReportField
+    bounds: key of the interval, which few episodes do not have
+    """
 
     def cell(row: Row) -> str:
-        if row.get(between) is None:
+        if row.get(key) is None:
             return ABSENT
-        low, high = row[between]
-        form = f"{sign},.{_digits(row)}f"
-        return _around(row, f"{row[field]:{form}}", f"{low:{form}}", f"{high:{form}}")
+        text = _format(row, row[key], form)
+        if not bounds or row.get(bounds) is None or has_few_episodes(row):
+            return text
+        low, high = (_format(row, bound, form).rstrip("%") for bound in row[bounds])
+        return f"{text} [{low}, {high}]"
 
     return cell
 
 
-def _around(row: Row, mean: str, low: str, high: str) -> str:
-    return mean if has_few_episodes(row) else f"{mean} [{low}, {high}]"
+def _format(row: Row, value: Any, form: str) -> str:  # noqa: ANN401
+    text = format(value, form.replace("R", str(_decimals(row))).replace("p", "%"))
+    return text.rstrip("%") if "p" in form else text
 
 
-format_return = _estimate("return_mean", "return_ci95")  # `3,413 [3,405, 3,420]`
-format_difference = _estimate("difference_mean", "difference_ci95", "+")  # paired: `-20 [-41, +3]`
-
-
-def _digits(row: Row) -> int:
+def _decimals(row: Row) -> int:
     """Decimals of a return: hexapods earn thousands, karts tens, others anything."""
     if row.get("foreign"):
         size = abs(row["return_mean"])
@@ -67,25 +74,30 @@ def _digits(row: Row) -> int:
     return 1 if drives(row) else 0
 
 
-def format_success(row: Row) -> str:
-    """The success rate with its interval: `97% [92, 99]`; a dash where success is not known."""
-    if row.get("success_ci95") is None:
-        return ABSENT
-    low, high = row["success_ci95"]
-    return _around(row, f"{row['success_rate']:.0%}", f"{100 * low:.0f}", f"{100 * high:.0f}")
+def _columns(record: type, table: str = "") -> dict[str, Column]:
+    """Key -> column, for the fields of a record that have one in a table."""
+    return {
+        each.key: Column(each.title, each.meaning, field_cell(each.key, each.form, each.bounds))
+        for each in report_fields(record).values()
+        if each.title and each.table == table
+    }
 
 
-def _success_difference(row: Row) -> str:
-    """The paired difference of the success rate in percentage points: `+1.0 [-1.0, +3.0]`."""
-    if row["success_difference_mean"] is None or not drives(row):
-        return ABSENT
-    found = (row["success_difference_mean"], *row["success_difference_ci95"])
-    return _around(row, *(f"{100 * each:+.1f}" for each in found))
-
-
-def _score(row: Row) -> str:
-    value = row["normalised_score"]
-    return ABSENT if value is None else f"{100 * value:.0f}"
+_PERFORMANCE = _columns(Performance)
+_RETURNS = tuple(_PERFORMANCE[key] for key in ("return_mean", "return_iqm", "risk"))
+_ENDED_EARLY, _SCORE = _PERFORMANCE["failure_rate"], _PERFORMANCE["normalised_score"]
+_OF_ANN = _PERFORMANCE["ratio_to_float_ann"]
+format_return = _PERFORMANCE["return_mean"].cell  # `3,413 [3,405, 3,420]`
+format_success = field_cell("success_rate", ".0%", "success_ci95")  # `97% [92, 99]`
+_FINISHED = Column(
+    "finished", "episodes that reach the end, with the 95% Wilson interval", format_success
+)
+_CLOCK = Column(
+    "clock",
+    "gated: layers advance one after the other; pipelined: all at once; free: in every timestep",
+    field_cell("clock"),
+)
+_NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
 
 
 def _divergence(row: Row) -> str:
@@ -96,41 +108,41 @@ def _divergence(row: Row) -> str:
     return "never" if step is None else f"{step:,.0f}"
 
 
+_AGREEMENT = _columns(ReferenceAgreement)
+_AGREEMENT["first_divergence"] = replace(_AGREEMENT["first_divergence"], cell=_divergence)
+format_difference = _AGREEMENT["difference_mean"].cell  # paired: `-20 [-41, +3]`
+
+
+# tables
+
+
 def tables(rows: Sequence[Row]) -> dict[str, list[Column]]:
     """Title -> columns that some row fills."""
-    title, columns = _earnings(rows)
-    clocked = _drop_empty([_CLOCK], rows)
+    title, earned = _earnings(rows)
+    agreement = dict(_AGREEMENT)
+    if not any(map(drives, rows)):
+        del agreement["success_difference_mean"]
     found = {
-        title: [*clocked, *_drop_empty(columns, rows), *measured_columns(rows)],
-        "Does it act like its reference?": _drop_empty(_AGREEMENT, rows),
-        "How large is the network?": _drop_empty(_cost_columns("size"), rows),
-        "What does an inference take?": _drop_empty([_CLOCK, *_cost_columns("operations")], rows),
-        COST: _drop_empty(_price_columns(rows), rows),
-        "Where does the energy go, in nJ?": _term_columns(rows),
+        title: [_CLOCK, *earned, *measured_columns(rows)],
+        "Does it act like its reference?": agreement.values(),
+        "How large is the network?": _columns(Costs, "size").values(),
+        "What does an inference take?": [_CLOCK, *_columns(Costs, "operations").values()],
+        COST: _price_columns(rows),
     }
-    return {title: [_NAME, *columns] for title, columns in found.items() if columns}
+    filled = {title: _drop(columns, rows, ABSENT) for title, columns in found.items()}
+    filled["Where does the energy go, in nJ?"] = _drop(_TERMS, rows, ABSENT, "0")
+    return {title: [_NAME, *columns] for title, columns in filled.items() if columns}
 
 
 def markdown_tables(rows: Sequence[Row]) -> str:
     """The tables in Markdown, each under its title."""
-    return "\n".join(
-        f"### {title}\n\n{_escaped(Table.from_records(columns, rows)).markdown()}\n"
-        for title, columns in tables(rows).items()
-    )
-
-
-def _escaped(table: Table) -> Table:
-    heads = [escape_markdown(head) for head in table.columns]
-    return Table(heads, [[escape_markdown(name), *rest] for name, *rest in table.rows])
-
-
-def _cost_columns(table: str) -> list[Column]:
-    """Return the columns of a table that are fields of Costs."""
-    return [
-        Column(each.title, each.meaning, field_cell(each.key, each.form))
-        for each in COST_COLUMNS.values()
-        if each.title and each.table == table
-    ]
+    parts = []
+    for title, columns in tables(rows).items():
+        found = Table.from_records(columns, rows)
+        heads = [escape_markdown(head) for head in found.columns]
+        cells = [[escape_markdown(name), *rest] for name, *rest in found.rows]
+        parts.append(f"### {title}\n\n{Table(heads, cells).markdown()}\n")
+    return "\n".join(parts)
 
 
 def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
@@ -139,56 +151,31 @@ def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
         Column(m.title, m.meaning, field_cell(m.name, m.form))
         for m in metrics_of(name for row in rows for name in row)
     ]
-    if any(row.get("foreign") for row in rows):
-        meaning = (
-            "episodes that succeed: by the key of --success, or return the registered threshold"
-        )
-        earned = [_succeeded(meaning), _ENDED_EARLY, _OF_ANN, _scored("random actions are")]
-        return "What does it earn?", [*_RETURNS, *earned]
     if any(map(drives, rows)):
-        driven = [_finished("the last gate is reached"), _ENDED_EARLY, *of_world, *_RETURNS]
-        return "Does the kart still finish?", [*driven, _scored("random actions are")]
-    walked = [_succeeded("episodes that succeed"), _ENDED_EARLY, _OF_ANN]
-    return "Does the robot still walk?", [
-        *_RETURNS,
-        *walked,
-        _scored("the gait alone is"),
-        *of_world,
-    ]
-
-
-def _succeeded(meaning: str) -> Column:
-    return Column("success", meaning, field_cell("success_rate", ".0%"))
-
-
-def _finished(event: str) -> Column:
-    meaning = f"episodes in which {event}, with the 95% Wilson interval"
-    return Column("finished", meaning, format_success)
-
-
-def _scored(zero: str) -> Column:
-    return Column("score", f"normalised return: {zero} 0, the float ANN 100", _score)
+        driven = [_FINISHED, _ENDED_EARLY, *of_world, *_RETURNS, _SCORE]
+        return "Does the kart still finish?", driven
+    earned = [*_RETURNS, _PERFORMANCE["success_rate"], _ENDED_EARLY, _OF_ANN, _SCORE]
+    if any(row.get("foreign") for row in rows):
+        return "What does it earn?", earned
+    return "Does the robot still walk?", [*earned, *of_world]
 
 
 def measured_columns(rows: Sequence[Row]) -> list[Column]:
     """A column for each metric of --metric."""
     names = dict.fromkeys(name for row in rows for name in row.get("measured", ()))
-    return [_metric(name) for name in names]
+    return [_measured_column(name) for name in names]
 
 
-def _metric(text: str) -> Column:
+def _measured_column(text: str) -> Column:
     name, _, reduction = text.rpartition(":")
-
-    def cell(row: Row) -> str:
-        value = row.get("measured", {}).get(text)
-        return ABSENT if value is None else f"{value:.4g}"
-
     meaning = f"{reduction} of {name} in the step infos, mean over the episodes"
-    return Column(f"{name} {reduction}", meaning, cell)
+    cell = field_cell(text, ".4g")
+    return Column(f"{name} {reduction}", meaning, lambda row: cell(row.get("measured", {})))
 
 
-def _drop_empty(columns: Iterable[Column], rows: Sequence[Row]) -> list[Column]:
-    return [column for column in columns if any(column.cell(row) != ABSENT for row in rows)]
+def _drop(columns: Iterable[Column], rows: Sequence[Row], *empty: str) -> list[Column]:
+    """The columns of which some cell is not empty."""
+    return [column for column in columns if {column.cell(row) for row in rows} - {*empty}]
 
 
 # energy: by every table, then term by term by COMMON_TABLE
@@ -201,11 +188,11 @@ def energy_cell(table: str) -> Cell:
 
 def _price_columns(rows: Sequence[Row]) -> list[Column]:
     """Energies and latencies by every table that some row has."""
+    latency = "latency_per_inference_s"
     energies = [
         Column(name, f"energy by table {name}", energy_cell(name))
         for name in dict.fromkeys(name for row in rows for name in row["energy_per_inference_j"])
     ]
-    latency = "latency_per_inference_s"
     latencies = [
         Column(
             f"{name} time",
@@ -217,44 +204,35 @@ def _price_columns(rows: Sequence[Row]) -> list[Column]:
     return [*energies, *latencies]
 
 
-def _term(name: str) -> Cell:
+def _unknown(row: Row) -> Sequence[str]:
+    found: Sequence[str] = row.get("energy_unknown", {}).get(COMMON_TABLE, ())
+    return found
+
+
+def _nanojoules(field: str, term: str = "") -> Cell:
+    """A cell in nJ with a field by COMMON_TABLE, or a term of it; `?` where it has no price."""
 
     def cell(row: Row) -> str:
-        if name in row.get("energy_unknown", {}).get(COMMON_TABLE, ()):
+        if term in _unknown(row):
             return "?"
-        value = row.get("energy_terms_j", {}).get(COMMON_TABLE, {}).get(name)
-        return ABSENT if value is None else _format_nj(value)
-
-    return cell
-
-
-def _format_nj(value: float) -> str:
-    nano = 1e9 * value
-    return f"{nano:,.0f}" if nano >= 100 else f"{nano:.3g}"
-
-
-def _of_table(field: str) -> Cell:
-
-    def cell(row: Row) -> str:
         value = row.get(field, {}).get(COMMON_TABLE)
-        return ABSENT if value is None else _format_nj(value)
+        value = value.get(term) if term and value is not None else value
+        if value is None:
+            return ABSENT
+        return f"{1e9 * value:,.0f}" if 1e9 * value >= 100 else f"{1e9 * value:.3g}"
 
     return cell
 
 
 def _total(row: Row) -> str:
     """All known terms: a lower bound where each price is, and what is missing marked elsewhere."""
-    value = _of_table("energy_total_j")(row)
+    value = _nanojoules("energy_total_j")(row)
     if value == ABSENT:
         return ABSENT
     low, _ = row.get("energy_interval_j", {}).get(COMMON_TABLE, (0, None))
     if low and low == row["energy_per_inference_j"].get(COMMON_TABLE):
         return f"≥ {value}"
-    return f"{value} + ?" if row.get("energy_unknown", {}).get(COMMON_TABLE) else value
-
-
-def _unpriced(row: Row) -> str:
-    return ", ".join(row.get("energy_unknown", {}).get(COMMON_TABLE, ())) or ABSENT
+    return f"{value} + ?" if _unknown(row) else value
 
 
 def _static(row: Row) -> str:
@@ -274,81 +252,35 @@ def _level(row: Row) -> str:
     return " / ".join(levels) or ABSENT
 
 
-def _field(title: str, name: str, form: str, meaning: str) -> Column:
-    return Column(title, meaning, field_cell(name, form))
-
-
-_RETURNS = (
-    Column("return", "mean return of an episode, with its 95% bootstrap interval", format_return),
-    Column(
-        "IQM", "mean of the middle half of the returns", _estimate("return_iqm", "return_iqm_ci95")
-    ),
-    Column("risk", "mean return of the worst 5% of the episodes", _estimate("risk", "risk_ci95")),
-)
-_ENDED_EARLY = _field(
-    "ended early",
-    "failure_rate",
-    ".0%",
-    "episodes that a terminal state other than success ended: a fall, a crash, a stall",
-)
-_OF_ANN = _field("of ANN", "ratio_to_float_ann", ".1%", "mean return / that of the float ANN")
-_AGREEMENT = (
-    _field(
-        "reference",
-        "reference",
-        "",
-        "policy of comparison: on a chip its float twin, else the float ANN",
-    ),
-    Column(
-        "difference",
-        "of return on the same seeds, paired, with its 95% interval",
-        format_difference,
-    ),
-    _field("ratio", "ratio_to_reference", ".1%", "mean return / that of the reference"),
-    Column(
-        "finished",
-        "paired difference of the finish rate, in percentage points",
-        _success_difference,
-    ),
-    _field(
-        "same action", "actions_equal", ".1%", "equal actions, on observations of the reference"
-    ),
-    _field("as ANN", "actions_equal_to_ann", ".1%", "the same, with the float ANN"),
-    _field("action RMSE", "action_rmse", ".4f", "of all actions, on observations of the reference"),
-    _field("to ANN", "rmse_to_ann", ".4f", "the same, with the float ANN"),
-    Column("diverges", "median first control step at which actions differ by 0.01", _divergence),
-)
-_CLOCK = _field(
-    "clock",
-    "clock",
-    "",
-    "gated: layers advance one after the other; pipelined: all at once; free: in every timestep",
-)
-_TERMS = (
-    Column(
-        "operations", f"by {COMMON_TABLE}: synaptic operations, or dense MACs", _term("operations")
-    ),
-    Column(
-        "skipping zeros", "MACs with an input that is not 0", _of_table("energy_zero_skipping_j")
-    ),
-    Column("bias", "the axon of the biases; of float networks their addition", _term("bias")),
-    Column("updates", "neurons with something to add up", _term("updates")),
-    Column("encoder", "numbers to spikes; of float networks their reading", _term("encoder")),
-    Column("readout", "weights and constants on the host", _term("readout")),
-    Column("resets", "states set to 0 between inferences", _term("resets")),
+_PRICED_TERMS = {
+    "operations": f"by {COMMON_TABLE}: synaptic operations, or dense MACs",
+    "bias": "the axon of the biases; of float networks their addition",
+    "updates": "neurons with something to add up",
+    "encoder": "numbers to spikes; of float networks their reading",
+    "readout": "weights and constants on the host",
+    "resets": "states set to 0 between inferences",
+}
+_TERMS = [
+    *(Column(n, what, _nanojoules("energy_terms_j", n)) for n, what in _PRICED_TERMS.items()),
     Column("all known", "≥: prices are lower bounds; + ?: some terms have no price", _total),
     Column(
         "level at", "SOPs that would cost what the float ANN does, dense / skipping zeros", _level
     ),
-    Column("no price", "terms that happen and that the table has no price for", _unpriced),
+    Column(
+        "no price",
+        "terms that happen and that the table has no price for",
+        lambda row: ", ".join(_unknown(row)) or ABSENT,
+    ),
     Column("static", "a published idle power over a control step; never added", _static),
+]
+_TERMS.insert(
+    1,
+    Column(
+        "skipping zeros",
+        "MACs with an input that is not 0",
+        _nanojoules("energy_zero_skipping_j"),
+    ),
 )
-_NAME = Column("policy", "policy · chip; `float` is the float twin of a spiking policy", label)
-
-
-def _term_columns(rows: Sequence[Row]) -> list[Column]:
-    """The terms that some row pays, or does not know."""
-    return [c for c in _TERMS if {c.cell(row) for row in rows} - {ABSENT, "0"}]
 
 
 # one table of 80 columns, and one line
@@ -360,24 +292,22 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
     env: id of the environment, which names of runs need not repeat
     """
     table = quoted_table(rows)
-    earned = Column("return", "mean return, with its 95% interval", format_return)
-    success = Column("success", "episodes that succeed", field_cell("success_rate", ".0%"))
+    earned, success = _PERFORMANCE["return_mean"], _PERFORMANCE["success_rate"]
     if any(map(drives, rows)):  # what counts there is how many finish
-        earned = Column("return", "mean return", field_cell("return_mean", ".1f"))
-        words = "episodes that reach the end, with the 95% interval"
-        success = Column("finished", words, format_success)
+        earned = replace(earned, cell=field_cell("return_mean", ".1f"))
+        success = _FINISHED
+    operations = "a control step, of synapses; dense MACs: zeros are not skipped"
     columns = [
         earned,
         _OF_ANN,
         success,
-        Column(
-            "operations",
-            "a control step, of synapses; dense MACs: zeros are not skipped",
-            format_operations,
-        ),
+        Column("operations", operations, format_operations),
         Column("energy", f"a control step, by table {table}", energy_cell(table)),
     ]
-    return [Column("policy", "policy · chip", short_label(rows, env)), *_drop_empty(columns, rows)]
+    return [
+        Column("policy", "policy · chip", short_label(rows, env)),
+        *_drop(columns, rows, ABSENT),
+    ]
 
 
 def short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:
@@ -412,25 +342,22 @@ def energy_hint(rows: Sequence[Row]) -> str:
 def describe_run(document: Mapping[str, Any]) -> str:
     """The row of a run in one line: return, success, metrics asked for, operations, energy."""
     (row,) = document["rows"]
+    table = quoted_table([row])
+    energy = energy_cell(table)(row) if table else ABSENT
+    operations = format_operations(row)
     done = "finished" if drives(row) else "succeeded"
     facts = [
         f"return {format_return(row)} in {describe_episodes(row)}",
         *([f"{sum(row['successes'])} {done}"] if row["successes"] else []),
         *(f"{name} {value:.4g}" for name, value in row.get("measured", {}).items()),
-        *(f"{each} a control step" for each in [format_operations(row)] if each != ABSENT),
+        *([f"{operations} a control step"] if operations != ABSENT else []),
+        *([f"{energy} by {table}"] if energy != ABSENT else []),
     ]
-    table = quoted_table([row])
-    cell = energy_cell(table)(row) if table else ABSENT
-    if cell != ABSENT:
-        facts.append(f"{cell} by {table}")
     return f"{label(row)}: {', '.join(facts)}."
 
 
 def format_operations(row: Row) -> str:
-    """Synaptic operations, or all multiply-accumulates of a float network.
-
-    Such as `748,544 SOPs`.
-    """
+    """Synaptic operations, or all multiply-accumulates of a float network: `748,544 SOPs`."""
     if row.get("sops_per_inference") is not None:
         return f"{row['sops_per_inference']:,.0f} SOPs"
     macs = row.get("macs_dense")

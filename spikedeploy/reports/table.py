@@ -1,34 +1,28 @@
-"""Tables on the terminal (rich), in Markdown and on pages, and the formats of their cells."""
+"""Tables on the terminal, in Markdown and on pages, and the formats of their cells."""
 
 import csv
 import json
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from spikedeploy.console import console
+from spikedeploy.console import screen_width, wrap
 from spikedeploy.runtime.files import replacing
-
-if TYPE_CHECKING:
-    import rich.console
-    import rich.table
-    from rich.text import Text
 
 Row = Mapping[str, Any]
 Cell = Callable[[Row], str]
 ABSENT = "–"
 COMMON_TABLE = "horowitz45-int8"  # the one that prices a chip and a float network alike
-_COLOURS = {"✓": "green", "✗": "red"}  # on the terminal
-_LONGEST_NAME = 26  # letters of a row's name that a narrow table does not break
+_GAP = 2  # letters between two columns on the terminal
+_SHORTEST_NAME, _LONGEST_NAME = 16, 40  # letters of a row's name that are not broken
 _LONGEST_CELL = 44  # letters that a page does not break
-_ANY = 1_000_000  # columns: wider than any table
 _LONGEST_NUMBER = 30  # letters that a terminal does not break: a number with its interval
 _NUMBER = re.compile(r"[-−+±≥≤<>≈*\[( ]*\d")
 _PREFIXES = {1: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
@@ -100,90 +94,47 @@ class Table:
         return cls(tuple(forms), rows, title, numbers)
 
     def print(self, width: int | None = None) -> None:
-        """Write the table on stdout; one too wide for it in blocks of columns, none of them cut.
+        """Write the table on stdout, in at most so many columns of the terminal; None for all."""
+        print("\n".join(self.lines(min(width or screen_width(), screen_width()))))
 
-        width: most columns of the terminal that it takes; None for all
-        """
-        screen = console()
-        wide = min(width or screen.width, screen.width)
-        for block in self._blocks(width, wide, screen):
-            screen.print(block, width=wide)
-            if width:  # the edge that wide ones end with
-                screen.print()
+    def lines(self, wide: int) -> Iterator[str]:
+        """The lines of the table; one of numbers that is too wide in blocks of columns."""
+        widths = self._widths(wide)
+        if self.title:
+            yield self.title
+        for block in self._blocks(widths, wide):
+            fitted = _fit([widths[place] for place in block], wide)
+            sides = [">" if self.numbers and place else "<" for place in block]
+            head, *rows = ([row[place] for place in block] for row in (self.columns, *self.rows))
+            yield from _lines_of(head, fitted, sides)
+            yield "─" * (sum(fitted) + _GAP * (len(block) - 1))
+            for row in rows:
+                yield from _lines_of(row, fitted, sides)
+            yield ""
 
-    def _blocks(
-        self, width: int | None, wide: int, screen: "rich.console.Console"
-    ) -> "Iterator[rich.table.Table]":
-        """The table; or as many columns at a time as fit, the names of rows before them."""
+    def _widths(self, wide: int) -> list[int]:
+        """Width of each column before it is fitted; heads break between words."""
+        columns = list(zip(self.columns, *self.rows, strict=True))
+        widths = [max(map(len, column)) for column in columns]
+        if not self.numbers or sum(widths) + _GAP * (len(widths) - 1) <= wide:
+            return widths
+        for place, (head, *cells) in enumerate(columns[1:], 1):
+            words = [word for text in (head, *cells) for word in text.split()]
+            widest = min(max(map(len, cells), default=0), _LONGEST_NUMBER)
+            widths[place] = max([widest, *map(len, words)])
+        left = wide - sum(widths[1:]) - _GAP * (len(widths) - 1)
+        return [min(widths[0], left if left >= _SHORTEST_NAME else _LONGEST_NAME), *widths[1:]]
 
-        def fits(table: "rich.table.Table") -> bool:
-            return screen.measure(table, options=screen.options.update(width=_ANY)).maximum <= wide
-
-        whole = self._rich(width)
-        if not self.numbers or fits(whole) or (width and self._is_whole(whole, wide, screen)):
-            yield whole
-            return
-        name, *others = range(len(self.columns))
-        title, block = self.title, [name]
-        for place in others:
-            if len(block) > 1 and not fits(self._rich(width, [*block, place], title, wide)):
-                yield self._rich(width, block, title, wide)
-                title, block = "", [name]
+    def _blocks(self, widths: Sequence[int], wide: int) -> Iterator[list[int]]:
+        """Columns that fit beside the first; of a table of texts all."""
+        block = [0]
+        for place in range(1, len(widths)):
+            taken = sum(widths[each] + _GAP for each in block) + widths[place]
+            if self.numbers and len(block) > 1 and taken > wide:
+                yield block
+                block = [0]
             block.append(place)
-        yield self._rich(width, block, title, wide)
-
-    def _is_whole(
-        self, table: "rich.table.Table", wide: int, screen: "rich.console.Console"
-    ) -> bool:
-        """True if cells after the first break between words alone where the table is so wide."""
-        lines = screen.render_lines(table, screen.options.update(width=wide))
-        shown = Counter(word for line in lines for each in line for word in each.text.split())
-        asked = Counter(word for row in self.rows for cell in row[1:] for word in cell.split())
-        return asked <= shown
-
-    def _width(self, place: int, wide: int) -> int:
-        """The width of a column: heads break between words, and of cells only names and texts."""
-        from rich.cells import cell_len
-
-        cells = [row[place] for row in self.rows]
-        widest = max(map(cell_len, cells), default=0)
-        if place == 0:
-            return max(min(widest, max(_LONGEST_NAME, wide // 3)), cell_len(self.columns[0]))
-        words = [word for text in (self.columns[place], *cells) for word in text.split()]
-        return max([min(widest, _LONGEST_NUMBER), *map(cell_len, words)])
-
-    def _rich(
-        self,
-        width: int | None,
-        block: Sequence[int] | None = None,
-        title: str | None = None,
-        wide: int = 0,
-    ) -> "rich.table.Table":
-        """The table, or a block of its columns in a terminal so wide, each with its own width."""
-        from rich import box
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(
-            title=Text(self.title if title is None else title), title_justify="left",
-            title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False,
-            show_edge=not width, padding=(0, 1, 0, 0) if width else (0, 1),
-        )  # fmt: skip
-        # names of rows stay whole, unless they are long and the table narrow: then numbers do
-        longest = max((len(row[0]) for row in self.rows), default=0)
-        unbroken_names = not width or longest <= _LONGEST_NAME
-        for place in range(len(self.columns)) if block is None else block:
-            table.add_column(
-                Text(self.columns[place]),
-                justify="right" if self.numbers and place else "left",
-                no_wrap=block is None and self.numbers and bool(place) != unbroken_names,
-                overflow="fold",
-                width=None if block is None else self._width(place, wide),
-            )
-        for row in self.rows:
-            cells = row if block is None else [row[place] for place in block]
-            table.add_row(*map(_literal, cells))
-        return table
+        yield block
 
     def markdown(self) -> str:
         """The table as lines of Markdown; its cells are Markdown already."""
@@ -208,11 +159,25 @@ def _text(cell: str) -> str:
     return cell.striptags() if isinstance(cell, Markup) else cell
 
 
-def _literal(cell: str) -> "Text":
-    """The cell as it is, whatever brackets it has; marks in their colours."""
-    from rich.text import Text
+def _fit(widths: list[int], wide: int) -> list[int]:
+    """The widths, of which the widest shrink until all fit."""
+    while sum(widths) + _GAP * (len(widths) - 1) > wide and max(widths) > 1:
+        widths[widths.index(max(widths))] -= 1
+    return widths
 
-    return Text(cell, style=_COLOURS.get(cell, ""))
+
+def _break(cell: str, width: int) -> list[str]:
+    """The lines of a cell; a word that is too long is cut."""
+    lines = [line for part in cell.split("\n") for line in wrap(part, width)]
+    return [line[k : k + width] for line in lines for k in range(0, len(line) or 1, width)]
+
+
+def _lines_of(cells: Sequence[str], widths: Sequence[int], sides: Sequence[str]) -> Iterator[str]:
+    """The lines of a row, as many as its longest cell takes."""
+    broken = [_break(cell, width) for cell, width in zip(cells, widths, strict=True)]
+    for lines in zip_longest(*broken, fillvalue=""):
+        shown = zip(lines, sides, widths, strict=True)
+        yield (" " * _GAP).join(f"{line:{side}{width}}" for line, side, width in shown).rstrip()
 
 
 def _has_words(cells: Sequence[str]) -> bool:
@@ -247,16 +212,6 @@ def _csv_cell(value: object) -> object:
 def escape_markdown(name: str) -> str:
     """A user's name as plain Markdown: no markup, no end of a cell or line."""
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(name.split()))
-
-
-def field_cell(name: str, form: str) -> Cell:
-    """A cell that formats a field, or a dash where the record lacks it."""
-
-    def cell(row: Row) -> str:
-        value = row.get(name)
-        return ABSENT if value is None else format(value, form)
-
-    return cell
 
 
 def price_cell(name: str, table: str, unit: str, interval: str) -> Cell:

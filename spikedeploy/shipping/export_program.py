@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy import envs
 from spikedeploy.emulation.rasters import read_inputs
 from spikedeploy.envs import archive
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
@@ -33,8 +34,8 @@ from spikedeploy.exporters.to_program import (
     script,
     tool_of,
 )
-from spikedeploy.make_env import confirm, make_env
 from spikedeploy.outputs import check_output_folder, has_text
+from spikedeploy.policies.registry import confirm
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip as chip_named
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity
@@ -191,7 +192,7 @@ def _episode(
         )
     if where == found:
         confirm(found, named, source.name)
-    env = make_env(where, {})
+    env = envs.make(where)
     try:
         recorder = EpisodeRecorder(env, VALIDATION[0])
         while not recorder.over and recorder.steps < steps:

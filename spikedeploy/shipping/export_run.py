@@ -15,8 +15,7 @@ from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.outputs import check_output
 from spikedeploy.policies import run_record
-from spikedeploy.policies.run import TorchController, policy_of
-from spikedeploy.policies.run_record import SPIKING
+from spikedeploy.policies.run_record import SPIKING, TorchController, policy_of
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import suffix

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.runtime.artifact.artifact import Artifact, load
@@ -101,7 +100,7 @@ def observations_of(
     named: environment of --env, in place of `where`; ConfigError where it does not fit.
     """
     where = named or where
-    env = make_env(where, {}) if where else None
+    env = envs.make(where) if where else None
     if env is None or env.observation_space.shape != (size,):
         if env is not None:
             env.close()

@@ -10,7 +10,7 @@ import pytest
 
 from spikedeploy.policies import run_record
 from spikedeploy.policies.nir import read_codec
-from spikedeploy.policies.run import policy_of
+from spikedeploy.policies.run_record import policy_of
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
@@ -119,10 +119,10 @@ def test_a_checkpoint_without_its_policy_is_refused_in_a_sentence(change, run):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[" * 100_000, "is no JSON that can be read"),
-        ("[1]", "holds no codec, but a list"),
+        ("[" * 100_000, "is damaged"),
+        ("[1]", "codec.json"),
         ('{"normaliser": {"mean": [0], "std": [1], "clip": %s}}' % ("9" * 400), "finite number"),
-        ('{"normaliser": {"mean": [0, [1]]}}', "holds lists that are no arrays"),
+        ('{"normaliser": {"mean": [0, [1]]}}', "inhomogeneous"),
         ('{"timesteps": 16, "squash": "argmax"}', "normaliser"),
     ],
 )

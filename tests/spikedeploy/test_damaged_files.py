@@ -105,7 +105,7 @@ KINDS = {
 OF_JSON = [name for name in KINDS if name.endswith((".json", ".trace"))]
 OF_HDF5 = [name for name in KINDS if name.endswith(".nir")]
 few = settings(
-    max_examples=25, derandomize=True, database=None,
+    max_examples=12, derandomize=True, database=None,
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip
 

@@ -293,7 +293,7 @@ def test_a_smoke_training_learns_what_it_learned(recipe, ran, folder):
     check(recipe, learned(recipe, ran, folder))
 
 
-@pytest.mark.parametrize("recipe", TRAININGS)
+@pytest.mark.parametrize("recipe", ["smoke", "smoke-kart", "smoke-sparse"])
 def test_a_smoke_training_learns_the_same_bits_again(recipe, ran, folder):
     first, second = trained(recipe, ran, folder), train(recipe, ran, folder)
     assert first != second
@@ -325,18 +325,3 @@ def test_every_bit_is_the_one_that_was_written(name, ran, folder):
 )
 def test_another_result_is_found(old, new, count):
     assert len(list(differences(old, new))) == count
-
-
-@pytest.mark.parametrize(
-    ("name", "rows", "column", "factor"),
-    [
-        ("smoke", "later", "eval_return", 1.02),
-        ("smoke-sparse", "later", "eval_operations", 0.4),
-        ("smoke-sparse-mlp", "first", "operations", 0.955),  # as before zeros cost nothing
-    ],
-)
-def test_another_training_is_found(name, rows, column, factor):
-    old = json.loads(golden(name).read_text("utf-8"))["result"]
-    new = json.loads(json.dumps(old))
-    new["metrics"][rows][-1][column] *= factor
-    assert len(list(differences(old, new, BOUNDS[name]))) == 1

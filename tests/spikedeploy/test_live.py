@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spikedeploy import envs
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.live import _MOST_STEPS, LiveView, WatchedLoop, WatchedStep, steps_event
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError
 from tests.paths import ROOT
@@ -56,7 +56,7 @@ def test_a_watched_run_is_the_run_of_before_bit_for_bit(stroll, policy, chip):
     loop = WatchedLoop(view, RATE, None, None)
     watched = run_policy(f"stroll/{policy}", None, chip, seeds, loop=loop)
     assert watched.as_json() == plain.as_json()
-    env, candidate = make_env("stroll", {}), find(f"stroll/{policy}")
+    env, candidate = envs.make("stroll"), find(f"stroll/{policy}")
     alone = rollout(env, open_policy(candidate, chip, env), seeds[0])
     actions = np.stack([step.action for step in view.steps[:20]])
     assert actions.tobytes() == alone.action.tobytes()

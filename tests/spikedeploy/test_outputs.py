@@ -114,9 +114,9 @@ COMMANDS = {
 
 KINDS = {
     "folder": (lambda path: path.mkdir(), "is a folder"),
-    "fifo": (os.mkfifo, "device or pipe"),
-    "device": (lambda path: path.symlink_to("/dev/null"), "device or pipe"),
-    "dangling": (lambda path: path.symlink_to(path.parent / "nowhere"), "a link to nothing"),
+    "fifo": (os.mkfifo, "a pipe"),
+    "device": (lambda path: path.symlink_to("/dev/null"), "a device"),
+    "dangling": (lambda path: path.symlink_to(path.parent / "nowhere"), "link to nothing"),
     "foreign": (lambda path: path.write_text("my notes"), "--force"),
     "under a file": (lambda path: path.parent.write_text("mine"), "is a file"),
 }
@@ -229,8 +229,8 @@ def test_a_text_that_quotes_the_mark_is_not_ours(tmp_path):
 
 
 def test_a_name_and_a_folder_that_cannot_be_written_are_refused_before_the_work(tmp_path):
-    with pytest.raises(ConfigError, match="the name has 304 bytes"):
+    with pytest.raises(ConfigError, match="File name too long"):
         check_output("-o", tmp_path / f"{'x' * 300}.npz")
-    with pytest.raises(ConfigError, match=r"-o /proc/x\.npz: /proc takes no files"):
+    with pytest.raises(ConfigError, match=r"-o /proc/x\.npz: /proc takes no file"):
         check_output("-o", Path("/proc/x.npz"))
     assert not list(tmp_path.iterdir())

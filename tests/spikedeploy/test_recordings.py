@@ -12,7 +12,6 @@ from PIL import Image
 from spikedeploy import envs, recordings
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.lineup import line_up
-from spikedeploy.make_env import make_env
 from spikedeploy.recordings import (
     NetworkTrace,
     RecordedEpisode,
@@ -44,7 +43,7 @@ def test_what_is_recorded_is_what_was_compared(entries):
     entry = on_chip(entries)
     compared = compare_policies("stroll", entries, [10_003], processes=1)
     episode = compared.row(entry).episodes[0]
-    found = record(make_env("stroll", {}), entry.candidate, "loihi1", "x", 10_003, TABLE)
+    found = record(envs.make("stroll"), entry.candidate, "loihi1", "x", 10_003, TABLE)
     assert found.played.total == episode.total
     assert found.network.sops.mean() == pytest.approx(episode.costs.sops)
     assert found.network.energy.mean() == pytest.approx(episode.costs.energy_j[TABLE].value)
@@ -172,12 +171,12 @@ def test_a_kart_is_drawn_on_its_track_and_a_cart_pole_is_not_drawn():
     scene = scene_of(env)
     assert scene.shapes()["kind"] == "track"
     assert scene.pose().tolist() == [list(env.unwrapped.pose)]
-    assert scene_of(make_env("CartPole-v1", {})) is None
+    assert scene_of(envs.make("CartPole-v1")) is None
 
 
 def test_commands_are_drawn_with_what_followed_them():
     played = record(
-        make_env("hexapod-command", {"max_steps": 5}),
+        envs.make("hexapod-command", max_steps=5),
         line_up("hexapod-command", ("hexapod-command/sparse",), ())[0].candidate,
         None, "x", 10_000, TABLE,
     ).played  # fmt: skip

@@ -7,12 +7,12 @@ import nir
 import numpy as np
 import pytest
 
+from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.verilog.bench import BENCH, record
 from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.simulation import RtlProcess
 from spikedeploy.exporters.verilog.to_verilog import CORE
-from spikedeploy.make_env import make_env
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -243,7 +243,7 @@ def test_twenty_episodes_of_a_shipped_policy_equal_in_verilator(tmp_path, name):
     artifact, program = shipped(name)
     image = core_image(program, artifact.codec)
     simulated = build_simulation(written(image, record(image, silence(image, artifact)), tmp_path))
-    env = make_env(world_of(name, artifact), {})
+    env = envs.make(world_of(name, artifact))
     kept = program.convention.state == "kept"
     wrong = 0
     for episode in range(20):

@@ -11,7 +11,7 @@ import pytest
 from spikedeploy.policies.registry import find
 from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.onnx_session import OnnxOperators, operators
+from spikedeploy.trainers.onnx_session import OnnxOperators
 from tests.paths import ROOT
 
 REACH, LEVELS = "tests.own_env:Reach", "tests.own_env:Levels"
@@ -78,11 +78,6 @@ def test_operations_of_a_model_of_stable_baselines_are_counted(name, env, widths
     )
 
 
-def test_operations_of_an_onnx_file_of_others_are_those_of_its_layers():
-    file = ROOT / "tests/golden/rsl_rl/policy.onnx"
-    assert operators(file).widths == (4, 16, 8, 2)
-
-
 @pytest.mark.parametrize(
     ("names", "shapes", "widths"),
     [
@@ -128,12 +123,6 @@ def test_a_report_with_a_teacher_is_not_reproduced_and_runs_no_code(
     assert code == 2
     assert "run its command again" in " ".join(err.split())
     assert not (tmp_path / "ran").exists()
-
-
-def test_units_go_with_a_teacher(command):
-    code, _, err = command("compare", "CartPole-v1", "--teacher-units", "own")
-    assert code == 2
-    assert "goes with --teacher" in " ".join(err.replace("│", " ").split())
 
 
 def test_after_distill_the_next_command_has_the_teacher(command, tmp_path, monkeypatch):

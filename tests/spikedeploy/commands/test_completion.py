@@ -48,28 +48,12 @@ def test_a_command_offers_its_words_without_loading_what_is_slow(here):
     ]
 
 
-WALKERS = ["hexapod/", "hexapod-command/"]
-
-
-def test_policies_open_folder_by_folder():
-    assert completion.policies("hexa") == WALKERS
-    assert "hexapod-command/sac" in completion.policies("hexapod-c")
+def test_policies_and_runs_are_offered(here):
     assert completion.policies("hexapod/pops") == ["hexapod/popsan"]
     assert "chips/CartPole-v1/odin" in completion.policies("chips/C")
-
-
-def test_files_and_runs_stand_beside_policies(here):
-    for name in ("hexane.nir", "hexane.txt", "hex a.nir", ".hexane.nir"):
-        (here / name).touch()
-    (here / "hexes").mkdir()
-    (here / "hexes/deep.onnx").touch()
     (here / "runs/hexa-1").mkdir(parents=True)
     (here / "runs/hexa-1/config.json").touch()
-    found = [*WALKERS, "hexa-1", "hexane.nir", "hexes/"]
-    assert completion.policies("hex") == found
-    assert completion.policies("hexe") == ["hexes/deep.onnx"]
-    assert completion.policies(f"{here}/hexa") == [f"{here}/hexane.nir"]
-    assert completion.networks("h") == ["hexane.nir", "hexes/"]
+    assert completion.policies("hexa-") == ["hexa-1"]
     assert completion.run_names("") == ["hexa-1", "last"]
 
 

@@ -67,19 +67,3 @@ def test_a_report_says_so_too(command, tmp_path):
         text = (tmp_path / name).read_text(encoding="utf-8")
         assert "noise:1 (0.05 [scale of an observation])" in text
         assert "fault state-flips:3 (0.001) hits" in text
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--disturb", "slope:1"), "kart has no 'slope'; it has noise, bias"),
-        (("--disturb", "noise:5"), "no level from 0 to 3"),
-        (("--fault", "burnt:1"), "a chip has no 'burnt'; it has dead-neurons"),
-        (("--fault", "stuck-max:1", "--chip", "float"), "--fault is of chips"),
-        (("--fault", "stuck-max:1", "--chip", "ideal"), "computes in floats"),
-    ],
-)
-def test_what_cannot_be_is_refused_in_a_line(command, words, said):
-    code, _, err = command("run", "kart-grid/snn", *words)
-    assert code == 2
-    assert said in err

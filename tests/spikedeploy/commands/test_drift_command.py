@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from spikedeploy import envs
 from spikedeploy.emulation.drift_report import observed_inputs, random_inputs
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.analysis.activity import activity
 from spikedeploy.runtime.analysis.calibration import tune_to_float
@@ -193,7 +193,7 @@ def test_a_delta_code_is_compared_on_whole_episodes(command, stroll):
 
 def played():
     """A file with the episode that the float twin plays."""
-    world = make_env("stroll", {})
+    world = envs.make("stroll")
     rollout(world, open_policy(find("event.nir"), "float", world), 10_000).save("event.npz")
     return "event.npz"
 

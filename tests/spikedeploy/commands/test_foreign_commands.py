@@ -88,25 +88,3 @@ def test_a_float_run_is_its_onnx_file_and_an_unknown_success_has_no_column(here,
     assert code == 0
     assert "success" not in out
     assert "return" in out
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["train", "ppo-snn"], "name one, as in `spikedeploy train CartPole-v1 --recipe ppo-snn`"),
-        (["train", "CartPole-v1", "--recipe", "hexapod-sac"], "made for hexapod, not for CartPole"),
-        (["train", "CartPole-v7", "--recipe", "ppo-snn"], "did you mean 'CartPole-v"),
-        (["train", "CartPole-v1", "--recipe", "sac-mlp"], "train it with a recipe of ppo"),
-        (["train", ENV, "--recipe", "ppo-mlp", "--set", "env.options.x=1"], "has no option 'x'"),
-        (["compare", "CartPole-v1"], "train CartPole-v1 --recipe ppo-snn"),
-        (["run", "random", "--env", ENV, "--metric", "eror:mean"], "did you mean 'error'?"),
-        (["run", "random", "--env", ENV, "--metric", "error:sum"], "mean|last|max"),
-        (["run", "random", "--env", "CartPole-v1", "--set", "x=1"], "has no option 'x'"),
-    ],
-)
-def test_what_is_refused_is_one_sentence(here, command, words, said):
-    code, _, err = command(*words)
-    assert code != 0
-    assert said in " ".join(err.split())
-    assert "Traceback" not in err
-    assert not list(here.glob("runs/*"))

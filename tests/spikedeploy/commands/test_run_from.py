@@ -64,8 +64,8 @@ def test_a_network_of_another_tool_drives_and_spikes_as_its_author_meant(
         (("--from", "snntorc", "--codec", "codec.json"), "snntorc"),
         (("--codec", "codec.json"), "--codec goes with --from"),
         (("--reset", "zero"), "--reset goes with --from"),
-        (("--from", "snntorch", "--codec", "snntorch_leaky.nir"), "no JSON that can be read"),
-        (("--from", "snntorch", "--codec", "list.json"), "holds no codec"),
+        (("--from", "snntorch", "--codec", "snntorch_leaky.nir"), "is damaged"),
+        (("--from", "snntorch", "--codec", "list.json"), "list.json"),
         (
             ("--from", "snntorch", "--codec", "short.json"),
             "incomplete; docs/own-network",

@@ -1,4 +1,4 @@
-"""`run --via`, `compare --via`: a core in simulation drives; what they print and refuse."""
+"""`run --via`: a core in simulation drives; what they print and refuse."""
 
 import json
 
@@ -55,20 +55,6 @@ def test_the_page_of_a_run_replays_the_spikes_of_the_core(command, tmp_path):
     assert code == 0, err
     assert (tmp_path / "report/report.html").is_file()
     assert json.loads((tmp_path / "report/report.json").read_text())["hardware"]["equal"] is True
-
-
-def test_a_comparison_has_a_row_of_the_core_beside_the_emulated_chip(command, tmp_path):
-    folder = exported(tmp_path / "core")
-    words = ("compare", "kart-steer", POLICY, "--chip", CHIP, "--via", folder, "--episodes", 2)
-    code, out, err = command(*words, "-o", tmp_path / "page", "--json")
-    assert code == 0, err
-    found = json.loads(out)
-    rows = {(row["policy"], row["chip"]): row for row in found["rows"]}
-    assert rows["sparse-gated in RTL", CHIP]["returns"] == rows["sparse-gated", CHIP]["returns"]
-    assert found["hardware"]["equal"] is True
-    assert "in RTL" in (tmp_path / "page/report.html").read_text()
-    code, _, err = command("compare", "kart-steer", "kart-steer/linear", "--via", folder)
-    assert (code, "none of the policies that are compared" in err) == (2, True), err
 
 
 @pytest.mark.parametrize(

@@ -42,22 +42,6 @@ def test_a_recipe_is_trained_to_a_budget_exported_and_run(command, stroll):
     assert (code, json.loads(out)["passed"]) == (0, True)
 
 
-@pytest.mark.parametrize(
-    ("recipe", "budget", "line"),
-    [
-        ("smoke-sparse", "macs=40", "takes them as in --budget sops=60"),
-        ("smoke-sparse-mlp", "40", "takes them as in --budget macs=60"),
-        ("smoke", "sops=40", "recipe smoke has no budget of operations"),
-    ],
-)
-def test_a_budget_of_another_kind_is_one_clear_line(recipe, budget, line, command, stroll):
-    code, out, err = command("train", recipe, "--budget", budget)
-    assert (code, out) == (2, "")
-    assert line in err
-    assert len(err.splitlines()) == 1
-    assert not (stroll / "runs").exists()
-
-
 @pytest.mark.parametrize("chip", ["float", "loihi1", "loihi2", "loihi1:membrane_output=none"])
 def test_a_file_runs_and_says_where_it_is_read(chip, command, event):
     code, out, err = command("run", event, "--chip", chip, "--episodes", 2, "--json")

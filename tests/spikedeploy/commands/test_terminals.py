@@ -3,15 +3,13 @@
 import io
 import json
 import os
-import re
 import subprocess
 import sys
 from collections import Counter
 
 import pytest
-import typer
 
-from spikedeploy import cli, console
+from spikedeploy import console
 from spikedeploy.console import progress
 from spikedeploy.envs import drawing
 from spikedeploy.play.display import check_driver
@@ -83,7 +81,6 @@ def test_hints_name_the_command_as_the_user_calls_it(name, said, command, tmp_pa
     [
         (["run", "a b/p.so"], "p.so", "spikedeploy run 'a b/p.so' --native --env ENV"),
         (["run", "a b/p.zip"], "p.zip", "spikedeploy compare ENV --teacher 'a b/p.zip'"),
-        (["reproduce", "a b"], "", "spikedeploy compare ENV -o 'a b'"),
         (["export", "stroll/popsan", "--to", "c", "-o", "a b/c"], "", "make -C 'a b/c' test"),
         (["train", "a b-v1"], "", "spikedeploy train 'a b-v1' --recipe ppo-snn"),
     ],
@@ -94,14 +91,6 @@ def test_printed_commands_quote_what_has_spaces(words, file, printed, command, s
         (stroll / "a b" / file).touch()
     _, out, err = command(*words)
     assert printed in out + err
-
-
-@pytest.mark.parametrize("verb", [verb for verbs in cli.COMMANDS.values() for verb in verbs])
-def test_brackets_are_text_in_help(verb, command):
-    options = typer.main.get_command(cli.app).commands[verb].params
-    written = {text for each in options for text in re.findall(r"\[\w+\]", each.help or "")}
-    out = command(verb, "--help")[1]
-    assert [text for text in written if text not in out] == []
 
 
 def test_the_version_is_printed(command):

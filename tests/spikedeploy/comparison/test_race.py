@@ -1,7 +1,5 @@
 """Comparisons of karts: finishes, laps, crashes, choices that are equal or not."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -17,11 +15,8 @@ from spikedeploy.comparison.evaluation import compare_policies, run_policy
 from spikedeploy.comparison.lineup import Entry, line_up
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.make_env import make_env
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.reports import comparison_page as report
-from spikedeploy.reports.columns import format_success, tables
-from spikedeploy.reports.headline import verdict
+from spikedeploy.reports.columns import tables
 from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.setup import Setup
 from tests import toy_race_env
@@ -141,7 +136,7 @@ def test_options_of_the_environment_reach_every_episode():
 
 def test_an_option_that_an_environment_does_not_have_is_one_clear_line():
     with pytest.raises(EnvError, match=r"race has no option 'wings'; the docstring of"):
-        make_env("race", {"wings": 2})
+        envs.make("race", wings=2)
 
 
 def test_choices_agree_or_they_do_not():
@@ -180,45 +175,3 @@ def test_episodes_that_all_end_alike_have_no_interval():
     equal = {"success_difference_mean": 0.0, "success_difference_ci95": (0.0, 0.0)}
     said = summary([row("snn", "snn", "loihi1", 1.0, **equal)])
     assert "(+0.0 points to its float twin, the same in every episode)" in said
-
-
-def test_what_is_true_of_several_policies_is_said_once():
-    rows = [
-        row("small", "snn", "loihi1", return_mean=30.0),
-        row("large", "snn", "loihi1", return_mean=31.0),
-        row("gap", "control", rate=0.98),
-        row("linear", "control", effective_macs=139.0),
-    ]
-    assert summary(rows).count("The script gap is not shown to finish less often either.") == 1
-    first, more = verdict({"rows": rows, "meaning": summary(rows)})
-    assert first.startswith("small on loihi1 earns")
-    assert more.count("is linear: 139 MACs") == 2  # beside either policy
-    sentences = re.split(r"(?<=\.) (?=[A-Za-z])", more)
-    assert len(set(sentences)) == len(sentences)
-
-
-def test_of_few_races_the_sentence_has_no_interval_and_no_verdict():
-    few = {"episodes": 2, "successes": [True, True]}
-    rows = [row("snn", "snn", "loihi1", **few), row("gap", "control", **few)]
-    assert summary(rows).startswith(
-        "snn on loihi1 earns 30 in 2 episodes, too few for an interval, and succeeds in all of "
-        "them (-1.0 points to its float twin). Fewer than 5 episodes do not show which policies "
-        "finish less often."
-    )
-    assert format_success({**rows[0], "success_ci95": (0.34, 1.0)}) == "100%"
-
-
-def test_a_float_policy_that_finishes_less_often_is_as_good_while_its_interval_reaches_nought():
-    spiking = row("snn", "snn", "loihi1", 1.0)
-    near, far = (row("linear", "control", rate=rate) for rate in (0.99, 0.9))
-    assert "not shown to finish less often is linear" in summary([spiking, near])
-    assert "The one float policy here is shown to finish less often." in summary([spiking, far])
-
-
-def test_the_report_of_a_race_is_whole(tmp_path):
-    document = report.document(
-        compare_policies("race", [Entry(find("random"))], SEEDS, processes=1)
-    )
-    files = report.write(document, tmp_path)
-    assert all(file.is_file() for file in files)
-    assert "Does the kart still finish?" in files[2].read_text()

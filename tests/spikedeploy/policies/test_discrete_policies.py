@@ -122,5 +122,5 @@ def test_an_unknown_head_is_refused(monkeypatch, tmp_path):
     monkeypatch.setitem(OUTPUTS, "ordinal", "ranks")
     policy = MlpPolicy(2, 4, hidden=())
     policy.head = "ordinal"
-    with pytest.raises(ArtifactError, match="head is 'ordinal'; known are continuous, discrete"):
+    with pytest.raises(ArtifactError, match="head 'ordinal'; known are continuous, discrete"):
         find(str(to_onnx(policy, ORIGIN, tmp_path / "p.onnx")))

@@ -10,7 +10,7 @@ from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.policies.run import TorchController
+from spikedeploy.policies.run_record import TorchController
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program

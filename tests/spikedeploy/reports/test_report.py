@@ -98,7 +98,7 @@ SENTENCES = {
         row("gait", "gait", ratio=0.5), row("popsan", "snn", "loihi1", 1.1)],
     "The one float policy here is shown to earn less. The script gait is not shown": [
         row("sac", "ann", ratio=0.9), row("gait", "gait"), row("popsan", "snn", "loihi1")],
-    "The script mine:pilot earns more than popsan.": [
+    "The script mine:pilot is not shown to earn less.": [
         row("sac", "ann", ratio=0.9), row("mine:pilot", "ann", ratio=3.0, training_seeds=None),
         row("popsan", "snn", "loihi1")],
     "mine was trained for odin, and no float twin stands beside it.": [
