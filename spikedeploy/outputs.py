@@ -15,6 +15,7 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 
 _MARK = "written by spikedeploy "
+_PART = f".{'0' * 16}"  # as long as what files.replacing adds to a name
 _MAY_STAND_IN_RUNS = (".nir", ".onnx", ".png", ".mp4", ".gif")  # exports and pictures
 
 
@@ -63,9 +64,9 @@ def check_output(
     force: whether a file that exists may be replaced
     ours: whether an existing file is an earlier output of the command
     """
-    if path.is_dir():
+    if os.path.isdir(path):
         raise ConfigError(f"{option} {path} is a folder. Name a file in it.")
-    if os.path.lexists(path) and not path.is_file():
+    if os.path.lexists(path) and not os.path.isfile(path):
         raise ConfigError(f"{option} {path} is a device, a pipe or a link to nothing. Name a file.")
     check_folder(option, path.parent)
     _check_writable(option, path)
@@ -122,7 +123,7 @@ def _check_writable(option: str, path: Path) -> None:
     """Refuse a folder that takes no file of this name, before the work and not after it."""
     folder = next(each for each in Path(os.path.realpath(path)).parents if each.is_dir())
     try:
-        NamedTemporaryFile(dir=folder, prefix=f".{path.name}").close()
+        NamedTemporaryFile(dir=folder, prefix=f".{path.name}", suffix=_PART).close()
     except OSError as error:
         raise ConfigError(
             f"{option} {path}: {folder} takes no file of this name: {error.strerror}"
