@@ -24,7 +24,7 @@ from spikedeploy.reports.columns import (
     quoted_table,
 )
 from spikedeploy.reports.page import write_beside
-from spikedeploy.reports.table import ABSENT, Column, Table, write_rows
+from spikedeploy.reports.table import ABSENT, Cell, Column, Table, write_rows
 
 Record = dict[str, Any]
 PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
