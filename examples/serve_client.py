@@ -27,7 +27,7 @@ for _ in range(5):  # without a reply the socket is of no use and the episode is
         try:
             observed = ask(do="info")["observations"]
             ask(do="reset", seed=0)
-            print(ask(do="act", observation=[0.0] * observed, want=["spikes", "sops", "energy"]))
+            print(ask(do="act", observation=[0.0] * observed))
             ask(do="bye")
             break
         except (zmq.Again, ConnectionError) as lost:

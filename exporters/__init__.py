@@ -9,7 +9,7 @@ parity        a written file against its policy: NIR spike by spike, ONNX action
 check         a line of a parity report, and its counters
 to_program    a compiled program as plain files, and what is expected of a chip; takes no torch
 kit/          scripts for the chips' tools, copied as they are, and imported by nothing
-to_xylo       a compiled program as a specification for Rockpool
+to_xylo       a compiled program as Rockpool's specification, a part of the kit
 c/            a compiled program as C99 for microcontrollers; takes no torch
 verilog/      a compiled program as Verilog for FPGAs; takes no torch
 """

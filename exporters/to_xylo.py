@@ -9,27 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from spikedeploy.exporters.check import ParityCheck, compare_integers, random_spikes
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.traces.fields import Fields
-from spikedeploy.runtime.traces.layered import xylo_trace
-
-MARK = "spikedeploy export --to xylo"
 
 Specification = dict[str, Any]
-
-
-def check_chip(name: str | None) -> str:
-    """The chip; ConfigError where it is no Xylo, or none was named."""
-    if name is None or not name.startswith("xylo"):
-        other = "" if name is None else f"{name} is none: "
-        raise ConfigError(
-            f"--to xylo: {other}choose a Xylo with --chip xylo-a2, xylo-a3 or xylo-imu"
-        )
-    return name
 
 
 def specification(program: Program) -> Specification:
@@ -91,58 +75,10 @@ def _check(program: Program) -> None:
     last = program.layers[-1]
     if not program.output_apart or last.name != program.output or program.host_outputs:
         raise ConfigError(
-            "--to xylo: several layers, or hidden neurons, leave the chip; a specification has one "
+            "--to program: several layers, or hidden neurons, leave the chip; a Xylo has one "
             "population of output neurons. Put a spiking layer behind them."
         )
     silent = [layer.name for layer in program.layers if not layer.spiking]
     if silent or program.damage or program.upsets is not None:
         what = f"layer {silent[0]!r} is read by its membranes" if silent else "the chip has faults"
-        raise ConfigError(f"--to xylo: {what}, of which a specification says nothing.")
-
-
-def document(program: Program, found: Specification) -> dict[str, Any]:
-    """The content of the file: the specification, and how to read its populations and time."""
-    output = program.layer(program.output)
-    return {
-        "made_by": MARK,
-        "chip": program.chip.name,
-        "dt": program.convention.dt,
-        "hidden_layers": places(program.layers[:-1]),
-        "output_layer": output.name,
-        # of the output for an input timestep, behind that input
-        "late": output.start - _wait(program),
-        "remarks": list(program.remarks),
-        "specification": found,
-    }
-
-
-def compare_spikes(program: Program, found: Specification, timesteps: int) -> ParityCheck:
-    """Compare the spikes of every layer by the specification, read as a trace, with the program."""
-    raster = random_spikes(np.random.default_rng(0), 1, timesteps, program.width)
-    wait, steps = _wait(program), program.steps(program.rows(timesteps))
-    played = np.zeros((steps, program.width), np.uint8)
-    played[wait : wait + timesteps] = raster[0, : steps - wait]
-    renamed = {("bias" if name == "bias_hidden" else name): rows for name, rows in found.items()}
-    silent = [[0] * len(found["threshold_out"])] * steps
-    record = {**renamed, "input_counts": played.tolist(), "out_spikes": silent}
-    read = xylo_trace(Fields({"params": record}, "the specification"), program.chip.name)
-    ran, wanted = trace(read.program, read.raster), trace(program, raster)
-    first = {**places(program.layers[:-1]), program.output: 0}
-    seen = {}
-    for layer in program.layers:
-        rows = ran["output" if layer.name == program.output else "hidden"].spikes[0]
-        own = slice(first[layer.name], first[layer.name] + layer.size)
-        seen[layer.name] = rows[layer.start : layer.start + timesteps, own]
-    spikes = {layer.name: wanted[layer.name].spikes[0] for layer in program.layers}
-    name = f"the specification, as {program.chip.name} reads it"
-    return compare_integers(name, spikes, seen)
-
-
-def _wait(program: Program) -> int:
-    """Timesteps that an input waits, so that layers start together."""
-    return next(
-        synapses.delay
-        for layer in program.layers
-        for synapses in layer.synapses
-        if synapses.source == program.input
-    )
+        raise ConfigError(f"--to program: {what}, of which a specification says nothing.")

@@ -36,8 +36,8 @@ from spikedeploy.setup import Count, OnChip, Reading, Setup, changed
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
     from spikedeploy.realtime.paced_loop import PacedLoop
-    from spikedeploy.shipping.hardware_run import CoreDriver, HardwareRun
     from spikedeploy.shipping.reproduce import Reproduction
+    from spikedeploy.shipping.verilog import CoreDriver
 
 # of which the numbers of an evaluation depend most
 _PACKAGES = ("mujoco", "pymunk", "numpy", "onnxruntime", "torch")
@@ -153,7 +153,7 @@ def run(
                 comparison = play(chip=chip, setup=setup, video=video, loop=loop)
         else:
             comparison = play(chip=core.chip, setup=setup, video=video, hardware=core)
-            drove = core.beside_emulated(comparison, partial(play, chip=core.chip, setup=setup))
+            drove = core.compare(comparison, partial(play, chip=core.chip, setup=setup))
         document = _report(comparison, setup, output, loop, drove)
     from spikedeploy.reports.terminal import print_run  # after the first action, which is sooner
 
@@ -182,7 +182,7 @@ def _hardware(via: Path | None, policy: str) -> "AbstractContextManager[CoreDriv
     """Return the hardware of --via; None where there is none."""
     if via is None:
         return nullcontext()
-    from spikedeploy.shipping.hardware_run import driver
+    from spikedeploy.shipping.verilog import driver
 
     return driver(via, policy)
 
@@ -230,7 +230,7 @@ def _report(
     setup: Setup,
     output: Path | None,
     loop: "PacedLoop | None" = None,
-    drove: "HardwareRun | None" = None,
+    drove: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the comparison as a document, which is written where there is a folder for it."""
     from spikedeploy.reports import comparison_page as report
@@ -239,7 +239,7 @@ def _report(
     if loop:
         document["real_time"] = loop.measured().as_json()
     if drove:
-        document["hardware"] = drove.as_json()
+        document["hardware"] = drove
     if output:
         recorded = report.recordings(comparison, document["rows"], setup.options())
         report.write(document, output, episodes=recorded)

@@ -20,8 +20,8 @@ class FormatOptions:
     """Options that some formats have, with the defaults of the format where none is given.
 
     observations: recorded observations on which file and policy must agree (default: 1000)
-    chip: chip whose integers are written; c, verilog, program and xylo (default: what it was
-        trained for, else loihi1; xylo needs one)
+    chip: chip whose integers are written; c, verilog and program (default: what it was trained for,
+        else loihi1)
 
     C, Verilog, programs:
         env: environment of the recorded episode, as of one of your own that FILE.nir names as
@@ -80,7 +80,7 @@ def export(
     """Write a trained policy as .nir or .onnx, and check the file against it; or as C99 or Verilog.
 
     run: run folder, its name under runs/, or 'last'; FILE.nir
-    to: format: nir, c, verilog, program or xylo for spiking policies, onnx for float ones, or for
+    to: format: nir, c, verilog or program for spiking policies, onnx for float ones, or for
         one step of a spiking one; c of small float ones, in 8-bit weights (default: as -o ends,
         else as the policy is)
 

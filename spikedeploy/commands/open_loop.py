@@ -400,7 +400,7 @@ def _check_board(
 ) -> NoReturn:
     """Print what of a board's FPGA a network takes, before any synthesis, and exit."""
     from spikedeploy.emulation.design_report import network_path
-    from spikedeploy.shipping.export_verilog import design
+    from spikedeploy.shipping.verilog import design
 
     if len(chips or ()) > 1:
         raise ConfigError("--board: a core has the integers of one chip: name one with --chip")

@@ -5,26 +5,23 @@ authenticated, so the socket listens on this machine alone unless another addres
 """
 
 import json
-import math
 import sys
 import threading
 import time
 import traceback
+from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import Any, Literal
 
 import zmq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from spikedeploy.policies.costs import priced_by
 from spikedeploy.policies.nir import read_policy
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.emulator.backend import BackendName
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
-from spikedeploy.runtime.metrics.energy import energy_estimate
-from spikedeploy.runtime.metrics.energy_tables import TABLES
 
 VERSION = 1
 # bytes of a request besides its observation, and of each number in it
@@ -44,7 +41,6 @@ class Request(BaseModel):
     do: what is asked for
     seed: seed of the episode that `reset` begins
     observation: observation of `act`, as JSON has it
-    want: of `act`: costs of the step that the reply has
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
@@ -52,7 +48,6 @@ class Request(BaseModel):
     do: Literal["info", "reset", "act", "bye"]
     seed: int = Field(default=0, ge=0, lt=2**63)
     observation: list[Any] = []
-    want: list[Literal["spikes", "sops", "energy"]] = []
 
     @classmethod
     def parse(cls, body: bytes) -> "Request":
@@ -89,17 +84,14 @@ class ServedPolicy:
         self.name, self.chip = candidate.name, str(chip or candidate.default_chip)
         self._artifact, self._on = read_policy(candidate.path), chip_or_float(self.chip)
         self._options: dict[str, Any] = {"backend": backend, "limits": limits}
-        first = self._controller()
+        first = self.controller()
         self._codec, self.observed = first.codec, first.codec.encoder.observed
         self._actions = int(candidate.actions or 0)
         first.act([0.0] * self.observed)  # takes memory and may compile before clients come
 
-    def _controller(self) -> SpikingController:
-        return SpikingController(self._artifact, self._on, "total", **self._options)
-
-    def episode(self) -> "ServedEpisode":
-        """An episode for a client, with a controller of its own."""
-        return ServedEpisode(self._controller(), priced_by(self._on))
+    def controller(self) -> SpikingController:
+        """A controller of its own for a client."""
+        return SpikingController(self._artifact, self._on, "none", **self._options)
 
     def info(self) -> dict[str, Any]:
         """The reply to `info`."""
@@ -114,46 +106,13 @@ class ServedPolicy:
         }
 
 
-class ServedEpisode:
-    """The episode of one client, priced by energy tables.
+@dataclass
+class _Client:
+    """A client: its controller, its actions since the last reset, and when it was heard last."""
 
-    steps: actions since its last reset
-    """
-
-    def __init__(self, controller: SpikingController, tables: tuple[str, ...]) -> None:
-        self.steps = 0
-        self._controller, self._tables = controller, tables
-
-    def reset(self, seed: int) -> dict[str, Any]:
-        """Begin an episode."""
-        self._controller.reset(seed)
-        self.steps = 0
-        return {"seed": seed}
-
-    def act(self, request: Request) -> dict[str, Any]:
-        """The action for an observation, and the costs of the step that are wanted."""
-        before = self._controller.ledger if request.want else None
-        action = self._controller.act(request.observation).tolist()
-        self.steps += 1
-        answer: dict[str, Any] = {"action": action, "step": self.steps}
-        if before is None:
-            return answer
-        step = self._controller.ledger.since(before)
-        if "spikes" in request.want:
-            answer["spikes"] = step.by_layer("spike_out")
-        if "sops" in request.want:
-            answer["sops"] = step.total("sop")
-        if "energy" in request.want:  # the upper bound is null, for JSON, where there is none
-            found = {name: energy_estimate(step, TABLES[name]) for name in self._tables}
-            answer["energy_j"] = {
-                name: {
-                    "value": each.value,
-                    "low": each.low,
-                    "high": each.high if math.isfinite(each.high) else None,
-                }
-                for name, each in found.items()
-            }
-        return answer
+    controller: SpikingController
+    steps: int
+    heard: float
 
 
 class Clients:
@@ -166,36 +125,44 @@ class Clients:
 
     def __init__(self, policy: ServedPolicy, most: int, idle: float) -> None:
         self._policy, self._most, self._idle = policy, most, idle
-        # client -> its episode, and when it was heard last
-        self._episodes: dict[bytes, tuple[ServedEpisode, float]] = {}
+        self._known: dict[bytes, _Client] = {}
 
-    def answer(self, client: bytes, request: Request, now: float) -> dict[str, Any]:
-        """The reply to a request.
+    def answer(self, name: bytes, request: Request, now: float) -> dict[str, Any]:
+        """The reply to a request of a client.
 
-        client: its name, which the connection decides
+        name: of the client, which the connection decides
         now: [s] of a clock that only goes forward
         """
-        kept = self._episodes.items()
-        self._episodes = {name: each for name, each in kept if now - each[1] <= self._idle}
+        self._known = {n: c for n, c in self._known.items() if now - c.heard <= self._idle}
         if request.do == "info":
             return self._policy.info()
         if request.do == "bye":
-            self._episodes.pop(client, None)
+            self._known.pop(name, None)
             return {}
-        known = self._episodes.get(client)
-        if known is None and request.do != "reset":
+        client = self._known.get(name)
+        if request.do == "reset":
+            return self._reset(name, client, request.seed, now)
+        if client is None:
             raise RequestError(
                 f"no episode: send reset first; after {self._idle:g} s without a request it is "
                 "forgotten"
             )
-        if known is None and len(self._episodes) >= self._most:
+        client.heard = now
+        action = client.controller.act(request.observation).tolist()
+        client.steps += 1
+        return {"action": action, "step": client.steps}
+
+    def _reset(self, name: bytes, client: _Client | None, seed: int, now: float) -> dict[str, Any]:
+        """Begin an episode."""
+        if client is None and len(self._known) >= self._most:
             raise RequestError(
                 f"there are {self._most} clients already: try again when one has said bye or was "
                 f"idle for {self._idle:g} s"
             )
-        episode = known[0] if known else self._policy.episode()
-        self._episodes[client] = episode, now
-        return episode.reset(request.seed) if request.do == "reset" else episode.act(request)
+        controller = client.controller if client else self._policy.controller()
+        self._known[name] = _Client(controller, 0, now)
+        controller.reset(seed)
+        return {"seed": seed}
 
 
 class PolicyServer:

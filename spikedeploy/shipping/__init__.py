@@ -6,10 +6,8 @@ exported_run    a run folder as its exported file, written where it is missing o
 sources         the file of a policy, its chip, observations of an episode
 export_run      a run's policy as a file, compared with the policy on recorded observations
 export_c        a policy as C, of a chip or with 8-bit weights, with what it takes
-export_verilog  a policy as Verilog for a board, with what it takes of it
-verilog_folder  such a folder: written, read back, its simulation built
-hardware_run    episodes that a core in simulation drives, beside the emulated chip
-export_file     a network as NIR for another tool, one step in ONNX, a Xylo's specification
+verilog         a policy as Verilog for a board; its folder; a core in simulation that drives
+export_file     a network as NIR for another tool, one step in ONNX
 export_program  a policy as the kit of a chip: its integers, what is expected, a script
 publish         a run as a shipped policy, with its card, from templates/
 reproduce       a recorded evaluation played again, number by number

@@ -19,9 +19,8 @@ from spikedeploy.trainers.config import require_known
 EXPORTERS = {
     "nir": "export_file:export_nir",
     "onnx": "export_file:export_onnx",
-    "xylo": "export_file:export_xylo",
     "c": "export_c:export_c",
-    "verilog": "export_verilog:export_verilog",
+    "verilog": "verilog:export_verilog",
     "program": "export_program:export_program",
 }
 # the flag of an option whose name in Python is another

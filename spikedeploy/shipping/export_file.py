@@ -1,4 +1,4 @@
-"""A policy as one file, compared with what was given: NIR, ONNX, the specification of a Xylo."""
+"""A policy as one file, compared with what was given: NIR, ONNX."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,14 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spikedeploy.exporters.check import ExportResult, ParityCheck, compare_integers, random_spikes
-from spikedeploy.exporters.to_xylo import MARK, check_chip, compare_spikes, document, specification
 from spikedeploy.outputs import check_output, has_text
 from spikedeploy.runtime.artifact.artifact import Artifact, for_importer, load, save
-from spikedeploy.runtime.chips.chip import chip as chip_named
-from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.dialects.rewriting import arguments
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
-from spikedeploy.runtime.files import suffix, write_json
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.shipping.sources import (
@@ -111,36 +107,6 @@ def export_onnx(
     path.parent.mkdir(parents=True, exist_ok=True)
     spiking_to_onnx(source.artifact, path)
     return _checked(path, checks(source.artifact, path, seen))
-
-
-def export_xylo(
-    policy: str,
-    path: Path | None,
-    *,
-    chip: str | None = None,
-    observations: int = 1000,
-    written_by: str | None = None,
-    dt: float | None = None,
-    reset: "Reset | None" = None,
-    force: bool = False,
-) -> ExportResult:
-    """Write a network as the specification of a Xylo, compared on random timesteps.
-
-    The remarks say what of the network the specification does not have, or has otherwise.
-    """
-    path = require_output(path, "a file", "xylo.json")
-    if suffix(path) != ".json":
-        raise ConfigError(f"-o {path}: --to xylo writes JSON. Name a file that ends in .json.")
-    name, file = check_chip(chip), nir_file(policy, "xylo")
-    check_output("-o", path, (file, policy), force, lambda place: has_text(place, MARK))
-    artifact = load(file, written_by=written_by, dt=dt, reset=reset)
-    program = compile_program(artifact, chip_named(name))
-    found = specification(program)
-    write_json(path, document(program, found))
-    left = {"codec": artifact.codec, "last affine map": program.readout}
-    remarks = [f"the {what} stays with the host" for what, one in left.items() if one is not None]
-    check = compare_spikes(program, found, observations)
-    return _checked(path, [check], [*program.remarks, *remarks])
 
 
 def _refuse(**of_runs: str | None) -> None:

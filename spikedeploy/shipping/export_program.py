@@ -24,7 +24,6 @@ from spikedeploy.exporters.to_program import (
     README,
     ChipRun,
     ChipTool,
-    KitPlayer,
     check_delays,
     chip_run,
     clock_text,
@@ -42,12 +41,14 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.convention import Clock, Reset
+from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.traces.verdict import Verdict
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.sources import (
+    Player,
     SpikingSource,
     is_ours,
     named_env,
@@ -108,8 +109,8 @@ def export_program(
     if codec is not None:
         if "missing" in host:
             raise ConfigError(f"--to program: no episode: {host['missing']}. Give --input.")
-        player = KitPlayer(host, run)
-        rows, episode, recorded = _episode(source, player, observations, env)
+        player = Player(codec, Machine(compiled, 1, "none"))
+        rows, episode, recorded = _play(source, player, run, observations, env)
     check_delays(run.program, tool)
     placement = place(artifact, on).mapping if on.limits is not None else None
     origin = f"{source.origin}{source.scales}"
@@ -179,8 +180,8 @@ def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]
     return rows.astype(np.uint8)
 
 
-def _episode(
-    source: SpikingSource, player: KitPlayer, steps: int, named: str | None
+def _play(
+    source: SpikingSource, player: Player, run: ChipRun, steps: int, named: str | None
 ) -> tuple[NDArray[np.uint8], Rollout, str]:
     """Input (T, M) of the policy's first control steps in its environment, and that episode."""
     found = named_env(source.artifact)
@@ -192,16 +193,18 @@ def _episode(
         )
     if where == found:
         confirm(found, named, source.name)
-    env = envs.make(where)
+    env, rows = envs.make(where), []
     try:
         recorder = EpisodeRecorder(env, VALIDATION[0])
+        player.reset(0)
         while not recorder.over and recorder.steps < steps:
             recorder.step(player.act(recorder.observation))
+            rows.append(run.rows(player.spikes))
         played = recorder.rollout()
     finally:
         env.close()
     words = f"{played.steps} control steps in {where}, seed {VALIDATION[0]}"
-    return np.concatenate(player.rows), played, words
+    return np.concatenate(rows), played, words
 
 
 def _readme(
@@ -229,19 +232,13 @@ def _readme(
             needs=f"{pip} CHECKOUT     # of spikedeploy" if ours else f"{pip} gymnasium",
             reset=", with `reset` between two of them" if run.state == "reset" else "",
         )
-    return Template(script(README)).substitute(
-        origin=origin,
-        chip=run.program.chip.name,
-        clock=clock_text(run, clock),
-        install=tool.install,
-        offline=tool.offline,
-        script=tool.script,
-        python=python,
-        flags=flags,
-        needs=tool.needs,
-        board=tool.board,
-        source=source,
-        loop=closed.rstrip(),
-        name=tool.name,
-        page=tool.page,
-    )
+    fields = vars(tool) | {
+        "origin": origin,
+        "chip": run.program.chip.name,
+        "clock": clock_text(run, clock),
+        "python": python,
+        "flags": flags,
+        "source": source,
+        "loop": closed.rstrip(),
+    }
+    return Template(script(README)).substitute(fields)

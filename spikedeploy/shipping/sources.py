@@ -84,7 +84,7 @@ def is_ours(env: str) -> bool:
 
 
 def observations_of(
-    controller: Callable[[], "_Player | OnnxController"],
+    controller: Callable[[], "Player | OnnxController"],
     where: str,
     size: int,
     count: int,
@@ -116,8 +116,11 @@ def observations_of(
     return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
 
 
-class _Player:
-    """A codec acting through a network that has `reset` and `infer`."""
+class Player:
+    """A codec acting through a network that has `reset` and `infer`.
+
+    spikes: (T, M) of the input in the last control step
+    """
 
     def __init__(self, codec: Codec, network: Machine | FloatMachine) -> None:
         self._codec, self._network = codec, network
@@ -130,6 +133,7 @@ class _Player:
     def act(self, observation: NDArray[Any]) -> NDArray[Any]:
         """The action for an observation."""
         spikes = self._codec.encode(np.asarray(observation)[None], self._levels)
+        self.spikes = spikes[0]
         return np.asarray(self._codec.decode(self._network.infer(spikes))[0])
 
 
@@ -203,10 +207,10 @@ class SpikingSource:
             drift = np.clip(np.cumsum(steps, axis=0), -3, 3)
             return np.asarray(drift * codec.normaliser.std + codec.normaliser.mean)
 
-        def player() -> _Player:
+        def player() -> Player:
             if program is None:
-                return _Player(codec, FloatMachine(self.artifact, "none"))
-            return _Player(codec, Machine(program, 1, "none"))
+                return Player(codec, FloatMachine(self.artifact, "none"))
+            return Player(codec, Machine(program, 1, "none"))
 
         where = world_of(self.name, self.artifact)
         return observations_of(player, where, codec.encoder.observed, count, walk, env)

@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from spikedeploy.runtime.artifact.artifact import save
 from tests.networks import event_driven, popsan
-from tests.xylo_networks import network
 
 SPARSE, GATED = "hexapod/sparse", "kart-steer/sparse-gated"
 
@@ -20,7 +18,6 @@ def here(tmp_path, monkeypatch):
     origin = replace(artifact.provenance, env="own_module:Env")
     save(replace(artifact, provenance=origin), "policy.nir")
     save(replace(popsan(), codec=None), "net.nir")
-    save(network(np.random.default_rng(1), [6, 12, 5, 4], ["cuba"] * 3), "xylo.nir")
     return tmp_path
 
 
@@ -66,15 +63,6 @@ REFUSED = {
         "rule primitive": [("hexapod/sparse-gated", "-o", "out", "--chip", "speck2f")],
         "clock 'gated' updates": [(SPARSE, "-o", "out", "--clock", "gated")],
         "delivers after 1": [("hexapod/sparse-gated", "-o", "out", "--chip", "loihi1-nengo")],
-    },
-    "xylo": {
-        "loihi1 is none": [("xylo.nir", "-o", "out.json", "--chip", "loihi1")],
-        "choose a Xylo": [("xylo.nir", "-o", "out.json")],
-        "name it, as in -o": [("xylo.nir", "--chip", "xylo-a2")],
-        "reset 'zero'": [("xylo.nir", "-o", "out.json", "--chip", "xylo-a2", "--reset", "zero")],
-        "--to xylo writes JSON": [
-            ("xylo.nir", "-o", name, "--chip", "xylo-a2") for name in ("out.nir", "out", "o.json.x")
-        ],
     },
     "nir": {
         "name it, as in -o": [("policy.nir", "--for", "snntorch")],

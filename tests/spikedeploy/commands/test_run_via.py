@@ -1,11 +1,12 @@
 """`run --via`: a core in simulation drives; what they print and refuse."""
 
 import json
+from hashlib import sha256
 
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.shipping.verilog_folder import VerilogFolder, sums_of, write_folder
+from spikedeploy.shipping.verilog import VerilogFolder, write_folder
 from tests.emulated_hardware import makefile
 
 POLICY, CHIP = "kart-steer/sparse-gated", "loihi1:clock=gated"
@@ -17,7 +18,7 @@ def exported(folder, wrong=None, policy=POLICY, **texts):
     texts = {"Makefile": makefile(file, CHIP, wrong), "synapses.hex": "0\n", **texts}
     found = VerilogFolder(
         folder=folder, policy=policy, sha256=zoo.sha256(file), chip=CHIP, board="icebreaker",
-        files=sums_of(texts),
+        files={name: sha256(text.encode()).hexdigest() for name, text in texts.items()},
     )  # fmt: skip
     write_folder(texts, found)
     return folder

@@ -99,21 +99,6 @@ def test_clients_get_the_actions_of_the_policy_each_of_its_own_episode(policy, c
     assert found == [expected(rows[0]), expected(rows[1])]
 
 
-def test_spikes_operations_and_energy_of_a_step_are_those_of_its_ledger(policy, connect):
-    client, rows = connect(), observations(policy, 3, 1)
-    ask(client, do="reset")
-    controller = load(POLICY).on("loihi1").controller()
-    for row in rows:
-        answer = ask(client, do="act", observation=row.tolist(), want=["sops", "spikes", "energy"])
-        before = controller.ledger
-        controller.act(row)
-        step = controller.ledger.since(before)
-        assert answer["sops"] == step.total("sop")
-        assert answer["spikes"] == step.by_layer("spike_out")
-        assert answer["energy_j"].keys() == {"davies2018", "sanafe", "horowitz45-int8"}
-    assert "sops" not in ask(client, do="act", observation=rows[0].tolist())
-
-
 def test_info_says_what_a_client_has_to_know(policy, connect):
     found = ask(connect(), do="info")
     assert (found["protocol"], found["observations"]) == (1, policy.observed)
@@ -130,8 +115,6 @@ BAD = {
     b'{"do": "act", "observation": [[1], [1, 2]]}': "no array of numbers",
     b'{"do": "act", "observation": ["1"]}': "not real numbers",
     b'{"do": "act", "observation": [{}]}': "observation",
-    b'{"do": "act", "observation": [1], "want": "spikes"}': "want",
-    b'{"do": "act", "observation": [1], "want": [[]]}': "want",
     b'{"do": "reset", "seed": -1}': "seed",
     b'{"do": "reset", "seed": 1.5}': "seed",
     b'{"do": "reset", "seed": true}': "seed",
@@ -239,12 +222,11 @@ def test_addresses_and_ports_that_are_none_are_refused(policy, server):
 
 
 def test_the_float_twin_is_served_too_and_what_does_not_spike_is_not():
-    episode = ServedPolicy(POLICY, "float").episode()
-    episode.reset(0)
+    served = ServedPolicy(POLICY, "float").controller()
+    served.reset(0)
     controller = load(POLICY).controller()
     row = [0.1] * controller.codec.encoder.observed
-    found = episode.act(Request(do="act", observation=row))["action"]
-    assert found == controller.act(row).tolist()
+    assert served.act(row).tolist() == controller.act(row).tolist()
     with pytest.raises(ConfigError, match="no spiking policy"):
         ServedPolicy("hexapod/sac")
 

@@ -1,6 +1,7 @@
 """A folder of Verilog: written all or nothing, read back, and refused where it is another's."""
 
 import errno
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -11,16 +12,14 @@ from spikedeploy import zoo
 from spikedeploy.exporters.verilog import tools
 from spikedeploy.runtime import files
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.shipping.verilog_folder import (
+from spikedeploy.shipping.verilog import (
     MARK,
     RECORD,
     VerilogFolder,
     build_simulation,
-    check_unchanged,
-    folder_of,
+    check_folder,
     is_export,
     read_folder,
-    sums_of,
     write_folder,
 )
 
@@ -35,7 +34,8 @@ def texts_of(export, names=NAMES):
 def written(folder, texts, sha256=None):
     export = VerilogFolder(
         folder=folder, policy="hexapod/sparse.nir", sha256=sha256 or zoo.sha256(POLICY),
-        chip="loihi1", board="icebreaker", files=sums_of(texts),
+        chip="loihi1", board="icebreaker",
+        files={name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()},
     )  # fmt: skip
     write_folder(texts, export)
     return export
@@ -48,18 +48,15 @@ def names_in(folder):
 def test_what_was_written_is_read_back(tmp_path):
     export = written(tmp_path, texts_of("one"))
     assert read_folder(tmp_path) == export
-    assert folder_of(POLICY, tmp_path) == export
+    assert check_folder(POLICY, tmp_path) == export
     assert names_in(tmp_path) == {*NAMES, RECORD}
-    assert (export.changed(), export.missing()) == ((), ())
 
 
 def test_files_of_another_board_are_removed_and_those_of_the_user_stay(tmp_path):
-    written(tmp_path, texts_of("one", (*NAMES, "board.pcf", "notes.v")))
-    (tmp_path / "notes.v").write_text("of the user now\n")
+    written(tmp_path, texts_of("one", (*NAMES, "board.pcf")))
     (tmp_path / "own.txt").write_text("of the user\n")
     written(tmp_path, texts_of("two"))
-    assert names_in(tmp_path) == {*NAMES, RECORD, "notes.v", "own.txt"}
-    assert (tmp_path / "notes.v").read_text() == "of the user now\n"
+    assert names_in(tmp_path) == {*NAMES, RECORD, "own.txt"}
 
 
 @pytest.mark.parametrize("renamed", range(len(NAMES) + 1))
@@ -81,7 +78,6 @@ def test_an_export_that_is_killed_leaves_no_makefile_and_is_written_again(
             written(tmp_path, texts_of("new"))
     assert not (tmp_path / "Makefile").exists()
     assert is_export(tmp_path)
-    check_unchanged("-o", tmp_path, force=False)
     export = written(tmp_path, texts_of("new"))
     assert read_folder(tmp_path) == export
     assert names_in(tmp_path) == {*NAMES, RECORD}
@@ -102,15 +98,6 @@ def test_a_full_disk_leaves_the_earlier_export_as_it_was(tmp_path, monkeypatch):
         with pytest.raises(OSError, match="No space"):
             written(tmp_path, texts_of("new"))
     assert read_folder(tmp_path) == export
-    assert (export.changed(), export.missing()) == ((), ())
-
-
-def test_files_that_were_changed_since_are_not_replaced_without_force(tmp_path):
-    written(tmp_path, texts_of("old"))
-    (tmp_path / "policy_core.v").write_text("a better core\n")
-    with pytest.raises(ConfigError, match=r"policy_core\.v is changed since .* --force"):
-        check_unchanged("-o", tmp_path, force=False)
-    check_unchanged("-o", tmp_path, force=True)
 
 
 def spoil_record(folder, **fields):
@@ -141,7 +128,7 @@ def test_a_folder_that_is_damaged_or_of_another_policy_is_refused_in_a_sentence(
     spoil(tmp_path)
     before = {name: (tmp_path / name).read_bytes() for name in names_in(tmp_path)}
     with pytest.raises(ConfigError, match=said) as error:
-        folder_of(POLICY, tmp_path)
+        check_folder(POLICY, tmp_path)
     assert "\n" not in str(error.value)
     assert {name: (tmp_path / name).read_bytes() for name in names_in(tmp_path)} == before
 
@@ -149,7 +136,7 @@ def test_a_folder_that_is_damaged_or_of_another_policy_is_refused_in_a_sentence(
 def test_a_core_that_was_edited_may_drive_since_every_state_is_compared(tmp_path):
     written(tmp_path, texts_of("one"))
     (tmp_path / "policy_core.v").write_text("a better core\n")
-    assert folder_of(POLICY, tmp_path).changed() == ("policy_core.v",)
+    assert check_folder(POLICY, tmp_path)
 
 
 def test_a_simulation_that_cannot_be_built_is_a_sentence(tmp_path, monkeypatch):
@@ -159,15 +146,15 @@ def test_a_simulation_that_cannot_be_built_is_a_sentence(tmp_path, monkeypatch):
     }
     export = written(tmp_path, texts)
     with pytest.raises(ConfigError, match=r"cannot be built: Verilator is missing$"):
-        build_simulation(export)
+        build_simulation(export.folder)
     monkeypatch.setattr(tools, "find_tool", lambda name: None)
     with pytest.raises(ConfigError, match="apt-get install make"):
-        build_simulation(export)
+        build_simulation(export.folder)
 
 
 def test_no_other_makefile_of_the_folder_is_run(tmp_path):
     texts = {**texts_of("one"), "Makefile": "policy_sim:\n\t@touch policy_sim\n"}
     export = written(tmp_path, texts)
     (tmp_path / "GNUmakefile").write_text("policy_sim:\n\t@touch policy_sim other\n")
-    assert build_simulation(export) == tmp_path / "policy_sim"
+    assert build_simulation(export.folder) == tmp_path / "policy_sim"
     assert not (tmp_path / "other").exists()
