@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -344,6 +345,50 @@ def host_terms(program: Program) -> dict[str, Any]:
         bias += node.bias.tolist()
     plain = not (program.reads_membranes or program.host_outputs)
     return {"plain": plain, "bias": bias, "terms": terms}
+
+
+class KitPlayer:
+    """A policy acting through a chip run, by host_codec.py as in the kit.
+
+    host: as of host_record.
+    rows: (timesteps, M) that were injected in each control step.
+    """
+
+    def __init__(self, host: Mapping[str, Any], run: ChipRun) -> None:
+        self._codec, self._terms, self._run = _host_codec(), host["terms"], run
+        self._host = host
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._encode = self._codec.Encoder(self._host["codec"])
+        self._encode.reset(seed)
+        self._decode = self._codec.Decoder(self._host)
+        self._chip = Interpreter(self._run.program, 1)
+        self.rows: list[NDArray[np.uint8]] = []
+
+    def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
+        """The action for an observation."""
+        run = self._run
+        if run.state == "reset":
+            self._chip = Interpreter(run.program, 1)
+        self.rows.append(run.rows(self._encode(observation)))
+        found = self._chip.run(self.rows[-1][None])
+        seen = [
+            getattr(found[term["layer"]], term["reads"])[0, run.windows[term["layer"]]]
+            for term in self._terms
+        ]
+        return np.asarray(self._decode(seen))
+
+
+def _host_codec() -> Any:  # noqa: ANN401
+    """The module host_codec.py of the kit."""
+    spec = spec_from_file_location("host_codec", _KIT / HOST_CODEC)
+    if spec is None or spec.loader is None:
+        raise ImportError(HOST_CODEC)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _place(mapping: CoreMapping) -> Iterator[dict[str, Any]]:

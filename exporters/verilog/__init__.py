@@ -4,12 +4,9 @@ The core is the same Verilog for every program; what differs is in its parameter
 
 to_verilog    files of a core: policy_core.v, its parameters, the contents of its memories
 image         contents of the memories and widths of the registers, from a program's integers
-model         the core in Python, clock for clock
 bench         contents of the self-checking bench: what the emulator computes
 simulation    the core in Verilator as a process
-vectors       words that leave a core, as the emulator has them
 refusals      programs that the core does not compute, by the name of a rule
-text          contents of memories and comments as Verilog has them
 boards        FPGA, clock and pins of boards; boards.toml
 resources     cells and memories that a core takes, predicted
 board_files   files around a core on a board: top module, UART, constraints, Makefile, host

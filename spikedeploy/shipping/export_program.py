@@ -24,6 +24,7 @@ from spikedeploy.exporters.to_program import (
     README,
     ChipRun,
     ChipTool,
+    KitPlayer,
     check_delays,
     chip_run,
     clock_text,
@@ -41,14 +42,12 @@ from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity
 from spikedeploy.runtime.compiler.compile import clock_on, compile_program
 from spikedeploy.runtime.compiler.rules import place
 from spikedeploy.runtime.convention import Clock, Reset
-from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ConfigError, TraceError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.runtime.traces.verdict import Verdict
 from spikedeploy.runtime.traces.verify import verify
 from spikedeploy.seeds import VALIDATION
 from spikedeploy.shipping.sources import (
-    Player,
     SpikingSource,
     is_ours,
     named_env,
@@ -109,8 +108,8 @@ def export_program(
     if codec is not None:
         if "missing" in host:
             raise ConfigError(f"--to program: no episode: {host['missing']}. Give --input.")
-        player = Player(codec, Machine(compiled, 1, "none"))
-        rows, episode, recorded = _play(source, player, run, observations, env)
+        player = KitPlayer(host, run)
+        rows, episode, recorded = _play(source, player, observations, env)
     check_delays(run.program, tool)
     placement = place(artifact, on).mapping if on.limits is not None else None
     origin = f"{source.origin}{source.scales}"
@@ -181,7 +180,7 @@ def _read_raster(artifact: Artifact, path: Path, most: int) -> NDArray[np.uint8]
 
 
 def _play(
-    source: SpikingSource, player: Player, run: ChipRun, steps: int, named: str | None
+    source: SpikingSource, player: KitPlayer, steps: int, named: str | None
 ) -> tuple[NDArray[np.uint8], Rollout, str]:
     """Input (T, M) of the policy's first control steps in its environment, and that episode."""
     found = named_env(source.artifact)
@@ -193,18 +192,16 @@ def _play(
         )
     if where == found:
         confirm(found, named, source.name)
-    env, rows = envs.make(where), []
+    env = envs.make(where)
     try:
         recorder = EpisodeRecorder(env, VALIDATION[0])
-        player.reset(0)
         while not recorder.over and recorder.steps < steps:
             recorder.step(player.act(recorder.observation))
-            rows.append(run.rows(player.spikes))
         played = recorder.rollout()
     finally:
         env.close()
     words = f"{played.steps} control steps in {where}, seed {VALIDATION[0]}"
-    return np.concatenate(rows), played, words
+    return np.concatenate(player.rows), played, words
 
 
 def _readme(

@@ -117,10 +117,7 @@ def observations_of(
 
 
 class Player:
-    """A codec acting through a network that has `reset` and `infer`.
-
-    spikes: (T, M) of the input in the last control step
-    """
+    """A codec acting through a network that has `reset` and `infer`."""
 
     def __init__(self, codec: Codec, network: Machine | FloatMachine) -> None:
         self._codec, self._network = codec, network
@@ -133,7 +130,6 @@ class Player:
     def act(self, observation: NDArray[Any]) -> NDArray[Any]:
         """The action for an observation."""
         spikes = self._codec.encode(np.asarray(observation)[None], self._levels)
-        self.spikes = spikes[0]
         return np.asarray(self._codec.decode(self._network.infer(spikes))[0])
 
 
