@@ -159,9 +159,11 @@ def run(
 
     _print(document, json, print_run, tables, output, video)
     if drove:
+        from spikedeploy.shipping.verilog import driven_lines
+
         if not json:
-            typer.echo("\n".join(drove.lines()))
-        raise typer.Exit(0 if drove.equal else 1)
+            typer.echo("\n".join(driven_lines(drove)))
+        raise typer.Exit(0 if drove["equal"] else 1)
 
 
 def _check_via(via: Path, one: Mapping[str, object], setup: Setup, *groups: object) -> None:
