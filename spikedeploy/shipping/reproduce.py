@@ -65,6 +65,7 @@ class _Row(_Fields):
     chip: str | None
     reference: str | None = None
     file: str = ""
+    limits: bool = True
 
 
 class _Seeds(_Fields):
@@ -95,7 +96,7 @@ class _Report(_Fields):
     sha256: dict[str, str | None] = {}
     versions: dict[str, str | None] = {}
     rows: list[_Row]
-    setup: dict[str, Any] = {}
+    setup: dict[str, Any]
     teachers: list[str] = []
 
 
@@ -222,6 +223,8 @@ def _entries(rows: Sequence[_Row], setup: Setup) -> list[Entry]:
         entry = Entry(replace(find(row.file), name=row.policy), row.chip, reference, setup)
         if entry.label in entries:
             raise ConfigError(f"there are two rows of {entry.label}")
+        if entry.limits != row.limits:
+            raise ConfigError(f"the row of {entry.label} has other limits than the setup")
         entries[entry.label] = entry
     return list(entries.values())
 

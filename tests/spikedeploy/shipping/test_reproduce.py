@@ -278,6 +278,8 @@ def test_a_report_with_a_setup_that_is_none_is_refused(report):
     file = report / "report.json"
     document = json.loads(file.read_text())
     for field, value, word in (
+        ("setup", None, "setup"),
+        ("setup", {"limits": "off"}, "other limits than the setup"),
         ("setup", {"colour": "red"}, "colour"),
         ("setup", {"specimen": "three"}, "specimen"),
         ("setup", {"fault": ["dead"]}, "--fault"),
