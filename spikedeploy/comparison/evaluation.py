@@ -164,7 +164,7 @@ def run_policy(
                     played = rollout(world, player, seed, on_step)
             else:
                 played = rollout(world, player, seed)
-                episodes.append(summarise(player, played, {}, setup.metric, foreign))
+            episodes.append(summarise(player, played, {}, setup.metric, foreign))
             done()
     if remark := getattr(world.unwrapped, "remark", ""):
         say(remark)

@@ -77,7 +77,7 @@ def test_what_was_computed_is_printed_first_and_neurobench_on_demand(emulate):
     network = chain(nir.Linear(np.eye(2)), lif(2, threshold=1.0), width=2, act=2)
     raster, words = np.ones((40, 2), np.uint8), ("--chip", "loihi1", "--dt", 1e-3)
     _, arrays, out, _ = emulate(network, raster, *words)
-    first, spikes, sops = out.splitlines()[4:7]
+    first, spikes, sops = out.splitlines()[3:6]
     sums = arrays["output"].sum(axis=0)
     assert first.split()[:3] == ["sums", "of", "outputs"]
     assert ", ".join(f"{each:,.6g}" for each in sums) in first
@@ -203,7 +203,7 @@ def test_several_inputs_and_outputs_go_by_their_names(chip, emulate):
 def test_a_raster_without_a_name_does_not_fit_several_inputs(emulate):
     code, _, _, err = emulate(two_ways(), np.ones((3, 1)), "--chip", "float")
     assert code == 2
-    assert "inputs a, b, found one raster without a name" in err
+    assert "one raster without a name" in err
 
 
 def single(threshold=1.0):

@@ -43,4 +43,4 @@ def test_emulate_shifts_the_weights_of_a_xylo(files, command, tmp_path):
         np.testing.assert_array_equal(found["output"], Machine(program).infer(raster[None])[0])
     code, _, err = command(*words, "--chip", "int", "--weight-shift", "4")
     assert code == 2
-    assert "weight_shift is 4: int has no shift" in err
+    assert "weight_shift is 4" in err
