@@ -12,8 +12,8 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.traces.layered import xylo_trace
 from spikedeploy.runtime.traces.fields import Fields
+from spikedeploy.runtime.traces.layered import xylo_trace
 from tests.xylo_networks import network, random_networks
 
 STEPS = 60
