@@ -11,8 +11,6 @@ import numpy as np
 from spikedeploy.envs.finite import all_finite
 from spikedeploy.envs.kart.env import (
     CONTROL_DT,
-    ClassicLimits,
-    ClassicReward,
     KartEnv,
     action_name,
     check_choice,
@@ -36,14 +34,8 @@ class KartGridEnv(KartEnv):
 
     ACTIONS: ClassVar[tuple[str, ...]] = ("none", "up", "down", "left", "right")
     OBSERVE: ClassVar[tuple[str, ...]] = ("lidar", "position", "velocity")
-    CLASSIC_OBSERVE: ClassVar[tuple[str, ...]] = ("lidar", "position", "speed")
     RANGE: ClassVar[float] = 600.0
     TURNS: ClassVar[bool] = False
-    CLASSIC: ClassVar[ClassicReward] = ClassicReward(
-        pace=12.0, backward=1.5, progress=1.0, steer=0.0, gate=1.0, crash=-500.0
-    )
-    CLASSIC_LIMITS: ClassVar[ClassicLimits] = ClassicLimits(still=0, receding=30)
-    CLASSIC_SPEED: ClassVar[float] = _GRID_TOP
 
     def observed_velocity(self, state: KartState) -> tuple[float, float]:
         """Velocity divided by the top speed."""
@@ -61,9 +53,6 @@ class KartGridEnv(KartEnv):
     def _move(self) -> None:
         self._kart.velocity = self._kart.velocity / _FRICTION
 
-    def _steering(self) -> int:
-        return 0
-
 
 SPEED = 440.0  # [px/s] forward
 _SPOT_TURN = 5.68  # [rad/s] on the spot
@@ -77,13 +66,6 @@ class KartGazeboEnv(KartEnv):
     """
 
     ACTIONS: ClassVar[tuple[str, ...]] = ("stop", "forward", "left", "right")
-    CLASSIC: ClassVar[ClassicReward] = ClassicReward(
-        pace=2.0, backward=1.0, progress=0.2, steer=0.7, gate=2.0, crash=-1000.0
-    )
-    CLASSIC_LIMITS: ClassVar[ClassicLimits] = ClassicLimits(still=100, receding=0)
-    CLASSIC_SPEED: ClassVar[float] = (
-        4.4  # kart-simulator's, 100 times too small: it saturates at +-1
-    )
 
     def observed_velocity(self, state: KartState) -> tuple[float, float]:
         """Forward speed and turn rate."""
@@ -96,11 +78,8 @@ class KartGazeboEnv(KartEnv):
         speed = self._power * SPEED if self._command == "forward" else 0.0
         heading = self._kart.angle
         self._kart.velocity = speed * math.cos(heading), speed * math.sin(heading)
-        self._turn = _SPOT_TURN * self._steering()
+        self._turn = _SPOT_TURN * {"left": -1, "right": 1}.get(self._command, 0)
         self._kart.angular_velocity = self._turn
-
-    def _steering(self) -> int:
-        return {"left": -1, "right": 1}.get(self._command, 0)
 
 
 _STEER_TOP = 599.0  # [px/s] speed at which the throttle has no effect
@@ -123,11 +102,6 @@ class KartSteerEnv(KartEnv):
     """
 
     ACTIONS: ClassVar[tuple[str, ...]] = ("none", "accelerate", "brake", "left", "right")
-    CLASSIC: ClassVar[ClassicReward] = ClassicReward(
-        pace=2.0, backward=1.0, progress=0.5, steer=0.7, gate=1.0, crash=-500.0
-    )
-    CLASSIC_LIMITS: ClassVar[ClassicLimits] = ClassicLimits(still=120, receding=30)
-    CLASSIC_SPEED: ClassVar[float] = _STEER_TOP
     EFFECTS: ClassVar[dict[str, tuple[float, float]]] = {
         "none": (0.0, 0.0),
         "accelerate": (1.0, 0.0),
@@ -154,7 +128,7 @@ class KartSteerEnv(KartEnv):
 
     def _begin(self) -> None:
         super()._begin()
-        self._forward = self._wheel = self._steered = 0.0
+        self._forward = self._wheel = 0.0
 
     def _effect(self, action: Any) -> tuple[float, float]:  # noqa: ANN401
         """Throttle and steering, each in [-1, 1]."""
@@ -169,12 +143,12 @@ class KartSteerEnv(KartEnv):
         return throttle, steering
 
     def _act(self, action: Any) -> None:  # noqa: ANN401
-        throttle, self._steered = self._effect(action)
+        throttle, steering = self._effect(action)
         if throttle > 0 and self._forward < _STEER_TOP:
             self._forward += self._power * _GAIN * throttle
         elif throttle < 0 and self._forward > 0:
             self._forward += _BRAKE * throttle
-        self._wheel += _STEER * self._steered
+        self._wheel += _STEER * steering
         heading = self._kart.angle
         self._kart.velocity = self._forward * math.cos(heading), self._forward * math.sin(heading)
 
@@ -186,6 +160,3 @@ class KartSteerEnv(KartEnv):
         heading = self._kart.angle + change
         self._kart.angle = heading
         self._kart.velocity = self._forward * math.cos(heading), self._forward * math.sin(heading)
-
-    def _steering(self) -> int:
-        return (self._steered > 0) - (self._steered < 0)

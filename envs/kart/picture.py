@@ -14,11 +14,11 @@ from spikedeploy.envs.kart.track import RADIUS, Track
 Floats = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
-NIGHT: Colour = (15, 18, 25)  # around the track
+_NIGHT: Colour = (15, 18, 25)  # around the track
 _ROAD: Colour = (31, 37, 50)
 _EDGE: Colour = (20, 24, 33)  # the road's shade along the walls
-WALL: Colour = (214, 222, 236)
-PLAIN: Colour = (64, 74, 96)  # gates that are still ahead
+_WALL: Colour = (214, 222, 236)
+_PLAIN: Colour = (64, 74, 96)  # gates that are still ahead
 _MARGIN = 0.035  # of the surface's shorter side
 _FINE = 2  # factor at which the ground is drawn, before it is downscaled
 
@@ -54,14 +54,14 @@ class Scene:
     def _ground(self) -> pygame.Surface:
         """Draw road and walls, supersampled so that edges are smooth."""
         large = pygame.Surface((_FINE * self.size[0], _FINE * self.size[1]))
-        large.fill(NIGHT)
+        large.fill(_NIGHT)
         width = max(4, round(_FINE * 5.0 * self.pen))
         road = self._road(large.get_size(), width)
         if road is not None:
-            large.blit(road.to_surface(setcolor=_ROAD, unsetcolor=NIGHT), (0, 0))
+            large.blit(road.to_surface(setcolor=_ROAD, unsetcolor=_NIGHT), (0, 0))
             self._lines(large, _EDGE, 5 * width, within=road)
         self._checkers(large)
-        self._lines(large, WALL, width)
+        self._lines(large, _WALL, width)
         return pygame.transform.smoothscale(large, self.size)
 
     def _road(self, size: tuple[int, int], width: int) -> pygame.Mask | None:
@@ -70,9 +70,9 @@ class Scene:
         None where it is not bounded by an outer wall.
         """
         barriers = pygame.Surface(size)
-        self._lines(barriers, WALL, width)
+        self._lines(barriers, _WALL, width)
         a, b = _FINE * self.on_screen(self.track.gates[-1])
-        _thick_line(barriers, WALL, a, b, width)
+        _thick_line(barriers, _WALL, a, b, width)
         free = pygame.mask.from_threshold(barriers, (0, 0, 0), (1, 1, 1, 255))
         start = tuple(int(value) for value in _FINE * self.on_screen(self.track.start))
         road = free.connected_component(start)
@@ -104,7 +104,7 @@ class Scene:
                 corner = a + column * step + (row - 1) * side * across
                 square = [corner, corner + step, corner + step + side * across]
                 square.append(corner + side * across)
-                colour = WALL if (column + row) % 2 else PLAIN
+                colour = _WALL if (column + row) % 2 else _PLAIN
                 pygame.draw.polygon(surface, colour, [tuple(point) for point in square])
 
 
@@ -138,7 +138,8 @@ def scene(track: Track, size: tuple[int, int]) -> Scene:
 
 _SIZE = (720, 720)  # of a picture [screen px]
 
-KART: Colour = (76, 201, 240)
+_KART: Colour = (76, 201, 240)
+_KART_DARK: Colour = (42, 111, 133)
 _NEXT: Colour = (255, 209, 102)
 _PASSED: Colour = (52, 122, 98)
 _HIT: Colour = (242, 114, 123)
@@ -148,28 +149,24 @@ _HELMET: Colour = (244, 247, 252)
 _KART_FINE = 8  # factor at which a kart is drawn, before it is rotated and downscaled
 
 
-def picture(env: Any, size: tuple[int, int] = _SIZE) -> NDArray[np.uint8]:  # noqa: ANN401
-    """Image (H, W, 3) of the current state of a kart environment."""
-    turned = pygame.surfarray.array3d(draw_env(env, size)).swapaxes(0, 1)
-    return np.ascontiguousarray(turned, np.uint8)
-
-
-def draw_env(env: Any, size: tuple[int, int] = _SIZE) -> pygame.Surface:  # noqa: ANN401
-    """Return a surface with the track, its gates, the LIDAR's rays and the kart."""
-    place = scene(env.track, size)
+def picture(env: Any) -> NDArray[np.uint8]:  # noqa: ANN401
+    """Image (H, W, 3) of a kart environment: the track, gates, the LIDAR's rays and the kart."""
+    place = scene(env.track, _SIZE)
     surface = place.ground.copy()
     _draw_gates(surface, place, env.next_gate)
     _draw_scan(surface, place, env.pose, _ray_angles(env), env.scan, env.lidar.range)
-    _draw_kart(surface, place, _facing(env), KART)
-    return surface
+    turn = round(-np.degrees(_heading(env))) % 360
+    sprite = _sprite(max(7, round(2 * RADIUS * place.scale)), turn)
+    centre = np.rint(place.on_screen(env.pose[:2])).astype(int)
+    surface.blit(sprite, sprite.get_rect(center=tuple(centre)))
+    return np.ascontiguousarray(pygame.surfarray.array3d(surface).swapaxes(0, 1), np.uint8)
 
 
-def _facing(env: Any) -> tuple[float, float, float]:  # noqa: ANN401
-    """Position and drawn heading; a kart without a heading points along its velocity."""
-    x, y, heading = env.pose
+def _heading(env: Any) -> float:  # noqa: ANN401
+    """Drawn heading [rad]; a kart without one points along its velocity."""
     if not env.TURNS and np.hypot(*env.velocity) > 1.0:
-        heading = np.arctan2(env.velocity[1], env.velocity[0])
-    return x, y, heading
+        return float(np.arctan2(env.velocity[1], env.velocity[0]))
+    return float(env.pose[2])
 
 
 def _ray_angles(env: Any) -> Floats:  # noqa: ANN401
@@ -184,7 +181,7 @@ def _draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
         if index == next_gate:
             _glow(surface, a, b, width)
         elif index < len(place.track.gates) - 1:
-            colour = _PASSED if index < next_gate else PLAIN
+            colour = _PASSED if index < next_gate else _PLAIN
             pygame.draw.aaline(surface, colour, tuple(a), tuple(b), width)
 
 
@@ -207,21 +204,6 @@ def _draw_scan(
         pygame.draw.aacircle(surface, _HIT, tuple(end), max(2, round(4.0 * place.pen)))
 
 
-def _draw_kart(
-    surface: pygame.Surface,
-    place: Scene,
-    pose: tuple[float, float, float],
-    colour: Colour,
-    alpha: int = 255,
-) -> None:
-    """Draw a kart from above, as large as its collision circle."""
-    turn = round(-np.degrees(pose[2])) % 360
-    sprite = _sprite(colour, max(7, round(2 * RADIUS * place.scale)), turn, alpha)
-    surface.blit(
-        sprite, sprite.get_rect(center=tuple(np.rint(place.on_screen(pose[:2])).astype(int)))
-    )
-
-
 def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
     veil = pygame.Surface(surface.get_size(), pygame.SRCALPHA)
     for factor, alpha in ((7, 22), (4, 44)):
@@ -231,33 +213,32 @@ def _glow(surface: pygame.Surface, a: Floats, b: Floats, width: int) -> None:
 
 
 @lru_cache(maxsize=4096)
-def _sprite(colour: Colour, size: int, turn: int, alpha: int) -> pygame.Surface:
-    scale = size / (2 * RADIUS * _KART_FINE)
-    sprite = pygame.transform.rotozoom(_large(colour), turn, scale)
-    sprite.set_alpha(alpha)
-    return sprite
+def _sprite(size: int, turn: int) -> pygame.Surface:
+    """A kart from above, as large as its collision circle."""
+    return pygame.transform.rotozoom(_large_kart(), turn, size / (2 * RADIUS * _KART_FINE))
 
 
-@lru_cache(maxsize=64)
-def _large(colour: Colour) -> pygame.Surface:
+@lru_cache(maxsize=1)
+def _large_kart() -> pygame.Surface:
     """Draw a kart facing right, at FINE times its true size."""
     side = round(2 * RADIUS * _KART_FINE)
     surface = pygame.Surface((side, side), pygame.SRCALPHA)
-    pygame.draw.aacircle(surface, (*colour, 56), (side / 2, side / 2), side / 2 - 1)
+    pygame.draw.aacircle(surface, (*_KART, 56), (side / 2, side / 2), side / 2 - 1)
 
     def box(x: float, y: float, w: float, h: float, fill: Colour, radius: float = 1.5) -> None:
         corner = ((x + RADIUS) * _KART_FINE, (y + RADIUS) * _KART_FINE)
         shape = pygame.Rect(*corner, w * _KART_FINE, h * _KART_FINE)
         pygame.draw.rect(surface, fill, shape, border_radius=round(radius * _KART_FINE))
 
-    dark = (colour[0] * 5 // 9, colour[1] * 5 // 9, colour[2] * 5 // 9)
     for y in (-13.0, 8.5):
         box(-13.5, y, 9.0, 4.5, _TYRE)
         box(5.0, y + 0.5 if y < 0 else y, 7.5, 4.0, _TYRE)
-    box(-10.5, -9.0, 3.0, 18.0, dark)  # rear axle
-    box(7.5, -9.0, 2.5, 18.0, dark)  # front axle
-    box(-15.0, -6.5, 24.0, 13.0, colour, 5.0)
-    box(6.0, -3.5, 12.0, 7.0, colour, 3.0)
-    pygame.draw.aacircle(surface, dark, (side / 2 - 2 * _KART_FINE, side / 2), 5.4 * _KART_FINE)
+    box(-10.5, -9.0, 3.0, 18.0, _KART_DARK)  # rear axle
+    box(7.5, -9.0, 2.5, 18.0, _KART_DARK)  # front axle
+    box(-15.0, -6.5, 24.0, 13.0, _KART, 5.0)
+    box(6.0, -3.5, 12.0, 7.0, _KART, 3.0)
+    pygame.draw.aacircle(
+        surface, _KART_DARK, (side / 2 - 2 * _KART_FINE, side / 2), 5.4 * _KART_FINE
+    )
     pygame.draw.aacircle(surface, _HELMET, (side / 2 - 2 * _KART_FINE, side / 2), 4.0 * _KART_FINE)
     return surface

@@ -171,11 +171,7 @@ def _draw_outcome(surface: pygame.Surface, picture: pygame.Rect, session: Sessio
 
 
 def _picture(session: Session, size: tuple[int, int]) -> pygame.Surface:
-    """Return a kart's track, or what another environment renders."""
-    if hasattr(session.world, "track"):
-        from spikedeploy.envs.kart.picture import draw_env
-
-        return draw_env(session.world, size)
+    """Return what the environment renders, scaled to the size."""
     seen = pygame.surfarray.make_surface(session.world.render().swapaxes(0, 1))
     scale = min(size[0] / seen.get_width(), size[1] / seen.get_height())
     surface = pygame.Surface(size)
