@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.event_columns import Size
-from spikedeploy.emulation.event_files import Recording
+from spikedeploy.emulation.event_recording import Recording, Size
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.camera_events import Events
 from spikedeploy.runtime.errors import ConfigError, ObservationError

@@ -15,8 +15,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.event_files import Recording
 from spikedeploy.emulation.event_input import EventView, Survey, TimeSteps, count_rows
+from spikedeploy.emulation.event_recording import Recording
 from spikedeploy.emulation.raster_emulation import SILENT, TOTALS, several_remark, totals
 from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact

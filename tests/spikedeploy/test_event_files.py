@@ -13,7 +13,7 @@ from spikedeploy.runtime.camera_events import EVENT, write_events
 from spikedeploy.runtime.errors import ObservationError
 
 SIZE = HEIGHT, WIDTH = 48, 64
-COUNT = 150_000  # more than is read at once
+COUNT = 70_000  # more than is read at once
 
 
 def drawn(count=COUNT, seed=0):
@@ -121,9 +121,10 @@ def write_linked(path, events):
 
 
 def write_numpy_floats(path, events):
-    """Whole numbers in floats, but for the times."""
-    kinds = [(name, "<i8" if name == "t" else "<f4") for name in EVENT.names]
-    np.save(path, events.astype(kinds))
+    """Numbers in floats, times in seconds."""
+    rows = events.astype([(name, "<f8") for name in EVENT.names])
+    rows["t"] *= 1e-6
+    np.save(path, rows)
 
 
 def write_numpy(path, events):
@@ -158,23 +159,16 @@ WRITERS = {
     "cd.hdf5": write_compound("CD/events"),
     "linked.hdf5": write_linked,
     "fields.h5": write_compound("recording/all"),
-    "fields-events.h5": write_compound("events"),
     "fields-named.h5": write_compound("events", t="timestamp", p="polarity"),
     "v2e.h5": write_table("events", "txyp", "u4"),
     "mvsec.hdf5": write_table("davis/left/events", "xytp", "f8"),
     "m3ed.h5": write_m3ed,
     "esim.h5": write_ours_by("xs", "ys", "ts", "ps", seconds=True),
-    "whole.h5": write_ours_by("xs", "ys", "ts", "ps"),
     "root.h5": write_ours_by("x", "y", "t", "p", group="/"),
-    "root-esim.h5": write_ours_by("xs", "ys", "ts", "ps", group="/", seconds=True),
     "beside.h5": write_beside,
     "floats.npy": write_numpy_floats,
     "UPPER.NPY": write_numpy,
-    "Upper.HDF5": write_ours,
-    "UPPER.H5": write_compound("CD/events"),
-    "Upper.Raw": write_faery,
     "UPPER.DAT": write_faery,
-    "Upper.AEDAT4": write_faery,
     "ours.npy": write_numpy,
     "tonic.npy": write_tonic,
     "nir.h5": write_nir,
@@ -207,77 +201,46 @@ def test_columns_compressed_by_blosc_are_read(tmp_path):
     np.testing.assert_array_equal(np.concatenate(list(open_recording(path).events())), wanted)
 
 
-@pytest.mark.parametrize("kind", ["uint32", "int32"])
+@pytest.mark.parametrize("kind", ["uint32", "int32", "int64"])
 def test_a_counter_of_32_bits_that_wraps_goes_on(kind, tmp_path):
     path, events = tmp_path / "a.npy", drawn(8)
-    events["t"] = np.iinfo(kind).max - 30 + 10 * np.arange(8)
-    np.save(path, events.astype([(n, kind if n == "t" else EVENT[n]) for n in EVENT.names]))
-    recording = open_recording(path, SIZE)
-    for _ in range(2):  # it is read twice, and said once
-        (found,) = recording.events()
-        np.testing.assert_array_equal(found, events)
-    (said,) = recording.remarks
-    assert "read as a counter of 32 bits that began anew" in said
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "is_wrap"),
-    [(2**32 - 10, 5, True), (4_100_000_000, 5, False), (2**32 - 10, 10**8, False),
-     (2**32 + 10, 5, False), (1 << 40, 5, False)],
-)  # fmt: skip
-def test_times_of_64_bits_begin_anew_near_the_end_of_32_alone(before, after, is_wrap, tmp_path):
-    events = drawn(2).astype([(n, "i8" if n == "t" else EVENT[n]) for n in EVENT.names])
-    events["t"] = before, after
-    write_columns(tmp_path / "a.h5", events)
-    recording = open_recording(tmp_path / "a.h5", SIZE)
-    if is_wrap:
-        assert next(recording.events())["t"].tolist() == [before, after + 2**32]
+    events["t"] = np.iinfo("int32" if kind == "int32" else "uint32").max - 30 + 10 * np.arange(8)
+    stored = events["t"].astype("int32" if kind == "int32" else "uint32")
+    rows = events.astype([(n, kind if n == "t" else EVENT[n]) for n in EVENT.names])
+    rows["t"] = stored
+    np.save(path, rows)
+    if kind == "int64":
+        with pytest.raises(ObservationError, match="of the one ahead of it"):
+            list(open_recording(path, SIZE).events())
         return
-    with pytest.raises(ObservationError, match="before the one ahead of it"):
-        list(recording.events())
+    (found,) = open_recording(path, SIZE).events()
+    np.testing.assert_array_equal(found, events)
 
 
 # polarity of events -> what is said; None where it is a coding that is known
 CODINGS = {
     "1 and 2": (lambda p: p + 1, "polarities 1, 2; known are 0 .* 1 .*, or -1 and 1"),
-    "to 3": (lambda p: p + 2 * (np.arange(len(p)) % 2), "polarities 0, 1, 2, 3"),
-    "bytes": (lambda p: 255 * p, "polarities 0, 255"),
     "three": (lambda p: p - (np.arange(len(p)) % 2), "polarities -1, 0, 1"),
     "unsigned": (lambda p: 2 * p.astype("u4") - 1, "polarities 1, 4294967295"),
-    "missing": (lambda p: np.where(p, 1.0, np.nan), "polarities 1, nan"),
+    "missing": (lambda p: np.where(p, 1.0, np.nan), "polarities .*nan"),
     "halves": (lambda p: 0.5 * p, "polarities 0, 0.5"),
-    "floats": (lambda p: 1.0 * p, None),
     "signs in floats": (lambda p: 2.0 * p - 1, None),
     "booleans": (lambda p: p > 0, None),
-    "rising": (lambda p: 0 * p + 1, None),
     "falling": (lambda p: 0 * p, None),
     "negative": (lambda p: 0 * p - 1, None),
 }
 
 
-@pytest.mark.parametrize("how", ["npy", "h5", "v2e", "fields"])
+@pytest.mark.parametrize("how", ["npy", "h5"])
 @pytest.mark.parametrize("name", CODINGS)
-def test_a_polarity_of_another_coding_is_refused_in_every_reader(name, how, tmp_path):
+def test_a_polarity_of_another_coding_is_refused(name, how, tmp_path):
     code, said = CODINGS[name]
-    events = drawn(50)
+    events, path = drawn(50), tmp_path / f"a.{how}"
     columns = {key: events[key] for key in "xyt"} | {"p": code(events["p"].astype(np.int64))}
-    kinds = [(key, columns[key].dtype) for key in "xytp"]
-    rows = np.zeros(50, kinds)
-    for key in "xytp":
-        rows[key] = columns[key]
-    path = tmp_path / f"a.{'npy' if how == 'npy' else 'h5'}"
     if how == "npy":
-        np.save(path, rows)
-    elif how == "h5":
-        write_columns(path, columns)
+        np.save(path, np.rec.fromarrays(list(columns.values()), names=list(columns)))
     else:
-        with h5py.File(path, "w") as file:
-            if how == "fields":
-                file["CD/events"] = rows
-            elif rows["p"].dtype.kind == "f" or (rows["p"] < 0).any():
-                pytest.skip("v2e's table has unsigned numbers")
-            else:
-                file["events"] = np.stack([columns[key] for key in "txyp"], 1).astype("u4")
+        write_columns(path, columns)
     if said is None:
         (found,) = open_recording(path, SIZE).events()
         np.testing.assert_array_equal(found["p"], columns["p"] > 0)
@@ -295,36 +258,12 @@ def test_a_coding_is_judged_over_all_parts_of_a_recording(tmp_path):
         list(open_recording(tmp_path / "a.npy", SIZE).events())
 
 
-def test_a_dat_with_more_polarities_than_two_is_refused(tmp_path):
-    pytest.importorskip("faery", reason="the extra events is not installed")
-    words = np.array([[5, 1 << 28], [6, 2 << 28]], "<u4")
-    path = tmp_path / "a.dat"
-    path.write_bytes(b"% Version 2\n% Width 64\n% Height 48\n\x0c\x08" + words.tobytes())
-    with pytest.raises(ObservationError, match="polarities 1, 2"):
-        list(open_recording(path).events())
-
-
-def test_what_was_assumed_of_a_layout_is_a_remark(tmp_path):
-    said = {
-        "esim.h5": "times are read as seconds, as DSEC or ESIM writes",
-        "mvsec.hdf5": "times are read as seconds, as MVSEC",
-        "m3ed.h5": "read is prophesee/left; prophesee/right is there too",
-    }
-    for name, words in said.items():
-        WRITERS[name](tmp_path / name, drawn(9))
-        assert any(words in each for each in open_recording(tmp_path / name).remarks)
-    columns = {f"other__{name}": FIELDS[name] for name in "xytp"}
-    for name, members, words in (
-        ("a.h5", {"CD__events": FIELDS, "events": FIELDS}, "read is CD/events; events is there"),
-        ("b.h5", {"events": FIELDS, "deep__er": FIELDS}, "read is events; deep/er is there too"),
-        ("c.h5", {"events": FIELDS, **columns}, "read is events; other is there too"),
-    ):
-        hdf5(tmp_path / name, **members)
-        assert open_recording(tmp_path / name).remarks == [f"{words.removesuffix(' too')} too"]
-    WRITERS["linked.hdf5"](tmp_path / "linked.h5", drawn(9))
-    assert not open_recording(tmp_path / "linked.h5").remarks
-    write_numpy(tmp_path / "a.npy", drawn(9))
-    assert not open_recording(tmp_path / "a.npy").remarks
+def test_another_layout_in_a_file_is_a_remark(tmp_path):
+    WRITERS["m3ed.h5"](tmp_path / "a.h5", drawn(9))
+    (remark,) = open_recording(tmp_path / "a.h5").remarks
+    assert remark == "read is prophesee/left; prophesee/right is there too"
+    write_ours(tmp_path / "b.h5", drawn(9))
+    assert not open_recording(tmp_path / "b.h5").remarks
 
 
 def hdf5(path, **members):
@@ -348,61 +287,24 @@ def packed_by_ecf(path):
 FIELDS = np.zeros(3, [("x", "<u2"), ("y", "<u2"), ("t", "<i8"), ("p", "u1")])
 INTACT = {
     "ecf": (packed_by_ecf, r"Prophesee .*ECF.*36559.*metavision_file_to_dat"),
-    "other": (lambda path: hdf5(path, a=[1], b__c=FIELDS["x"]), r"holds a \(1,\), b/c \(3,\)"),
-    "two": (lambda path: hdf5(path, a=FIELDS, b=FIELDS), "holds a, b; which of them is it"),
-    "no polarity": (
-        lambda path: hdf5(path, events__x=[1], events__y=[1], events__t=[1]),
-        "events/p is missing",
-    ),
-    "floats": (lambda path: hdf5(path, events=np.zeros((3, 4))), r"events \(3, 4\) of float64"),
+    "other": (lambda path: hdf5(path, a=[1], b__c=FIELDS["x"]), r"holds a, b, b/c; known"),
+    "two": (lambda path: hdf5(path, a=FIELDS, b=FIELDS), "holds a, b; known"),
     "whole seconds": (
         lambda path: hdf5(path, xs=[1, 1], ys=[1, 1], ts=[1.0, 2e6], ps=[1, 1]),
-        "the unit is not known",
+        "all of them whole; times in floats are seconds",
     ),
     "rectified": (
         lambda path: hdf5(path, xs=[1.5], ys=[1], ts=[0.1], ps=[1]),
-        "at x = 1.5; events are at whole pixels",
+        "at x = 1.5, .* whole pixels",
     ),
     "coarse": (
-        lambda path: hdf5(
-            path, xs=[1, 1], ys=[1, 1], ts=np.float32([1.7e9, 1.7e9]), ps=[1, 1], dtype=[0]
-        ),
-        "1700000000 s in float32, which has one number each 128 s",
-    ),
-    "coarse table": (
         lambda path: hdf5(path, davis__left__events=np.float32([[1, 1, 5000.1, 1]])),
         "in float32, which has one number each 0.000488 s",
     ),
-    "two times": (
-        lambda path: hdf5(path, xs=[1], ys=[1], ts=[0.1], ps=[1], t=[7]),
-        "holds t and ts, each of which is a name for t; which of them is it",
-    ),
-    "two polarities": (
-        lambda path: hdf5(path, events=np.zeros(3, [*FIELDS.dtype.descr, ("on", "?")])),
-        "holds p and on, each of which is a name for p",
-    ),
+    "no time": (lambda path: hdf5(path, xs=[1], ys=[1], ts=[np.nan], ps=[1]), "at no time"),
     "late": (
-        lambda path: hdf5(
-            path, events__x=[1], events__y=[1], events__t=np.uint64([2**63]), events__p=[1]
-        ),
-        "t = 9223372036854775808 us; times are less than 2.62 us",
-    ),
-    "late offset": (
-        lambda path: hdf5(
-            path,
-            events__x=[1],
-            events__y=[1],
-            events__t=[1],
-            events__p=[1],
-            t_offset=np.uint64(2**64 - 5),
-        ),
-        "t_offset of 18446744073709551611 us; it must be less than 2.62 us",
-    ),
-    "offset": (
-        lambda path: hdf5(
-            path, events__x=[1], events__y=[1], events__t=[1], events__p=[1], t_offset=[1, 2]
-        ),
-        "t_offset of int64",
+        lambda path: hdf5(path, x=[1], y=[1], t=np.uint64([2**63]), p=[1]),
+        "before t = 0 us",
     ),
     "elsewhere": (
         lambda path: hdf5(path, CD__events=h5py.ExternalLink("other.h5", "/x"), a=[1]),
@@ -429,12 +331,12 @@ def changed(**columns):
 
 
 IMPOSSIBLE = {
-    "out of order": (changed(t=(4, 9)), "event 4 at t = 9 us comes [0-9]+ us before"),
-    "restarted": (changed(t=(slice(5), 1 << 40)), "event 5 at t = .* us before the one ahead"),
+    "out of order": (changed(t=(4, 9)), "event 4 is at t = 9 us, before t = [0-9]+ us"),
+    "restarted": (changed(t=(slice(5), 1 << 40)), "event 5 is at t = .* us of the one ahead"),
     "negative time": (changed(t=(0, -5)), "t = -5 us"),
     "outside": (changed(x=(3, WIDTH)), "event 3 is at x = 64.*48x64.*--camera"),
     "above": (changed(y=(3, -1)), "event 3 is at x = .* y = -1"),
-    "seconds": (changed() | {"t": np.linspace(0, 1, 9)}, "t float64.*whole numbers"),
+    "texts": (changed() | {"t": [b"1"] * 9}, "must be columns of numbers"),
     "cut": (changed() | {"p": np.ones(8, int)}, "one length"),
 }
 
@@ -471,32 +373,34 @@ def test_formats_without_a_length_are_read_up_to_their_end(name, tmp_path):
     np.testing.assert_array_equal(found, wanted[: len(found)])
 
 
-@pytest.mark.parametrize("version", ["dat", "evt2", "evt3"])
-def test_recordings_of_prophesee_whose_times_jump_back_are_refused(version, tmp_path):
-    faery = pytest.importorskip("faery", reason="the extra events is not installed")
-    path, rows = tmp_path / ("a.dat" if version == "dat" else "a.raw"), drawn(20_000)
-    rows = np.rec.fromarrays([rows[n] for n in "txyp"], faery.EVENTS_DTYPE)
-    format_of = {} if version == "dat" else {"version": version}
-    faery.events_stream_from_array(rows, (WIDTH, HEIGHT)).to_file(path, **format_of)
-    assert sum(map(len, open_recording(path).events())) == len(rows)
-    header, body = re.fullmatch(rb"((?:%[^\n]*\n)+)(.*)", path.read_bytes(), re.DOTALL).groups()
-    start, body = (body[:2], body[2:]) if version == "dat" else (b"", body)
-    path.write_bytes(header + start + 2 * body)
-    with pytest.raises(ObservationError, match=r"back|before the one ahead"):
-        list(open_recording(path).events())
+def dat_words(events):
+    """Prophesee, Encoding Formats, DAT: x, y and p in 14, 14 and 4 bits behind the time."""
+    words = events["x"].astype("<u4") | events["y"].astype("<u4") << 14
+    words |= events["p"].astype("<u4") << 28
+    return np.stack([(events["t"] % (1 << 32)).astype("<u4"), words], 1).tobytes()
 
 
-def test_a_dat_whose_counter_wraps_goes_on(tmp_path):
+def write_dat(path, events, header=b"% Version 2\n% Width 64\n% Height 48\n\x0c\x08"):
+    path.write_bytes(header + dat_words(events))
+
+
+def test_a_dat_is_read_without_faery(tmp_path):
     path, wanted = tmp_path / "a.dat", drawn(1000)
-    wanted["t"] += (1 << 32) - 2000
-    # Prophesee, Encoding Formats, DAT: x, y and p in 14, 14 and 4 bits
-    words = wanted["x"].astype("<u4") | wanted["y"].astype("<u4") << 14
-    words |= wanted["p"].astype("<u4") << 28
-    body = np.stack([(wanted["t"] % (1 << 32)).astype("<u4"), words], 1).tobytes()
-    path.write_bytes(b"% Version 2\n% Width 64\n% Height 48\n\x0c\x08" + body)
-    pytest.importorskip("faery", reason="the extra events is not installed")
-    found = np.concatenate(list(open_recording(path).events()))
-    np.testing.assert_array_equal(found, wanted)
+    wanted["t"] += (1 << 32) - 2000  # its counter of 32 bits wraps
+    write_dat(path, wanted)
+    recording = open_recording(path)
+    assert recording.size == SIZE
+    np.testing.assert_array_equal(np.concatenate(list(recording.events())), wanted)
+    write_dat(path, wanted[::-1])
+    with pytest.raises(ObservationError, match="before t = "):
+        list(open_recording(path).events())
+    wanted["p"] += 1
+    write_dat(path, wanted)
+    with pytest.raises(ObservationError, match="polarities 1, 2"):
+        list(open_recording(path).events())
+    write_dat(path, wanted, b"% Version 1\n\x0c\x08")
+    with pytest.raises(ObservationError, match="version 2"):
+        open_recording(path)
 
 
 def test_other_files_are_refused(tmp_path):
@@ -506,7 +410,7 @@ def test_other_files_are_refused(tmp_path):
     (tmp_path / "text.csv").write_text("1,2,3,1\n")
     (tmp_path / "noise.raw").write_bytes(b"1234" * 9)
     said = {
-        "empty.h5": "holds nothing; known are CD/events",
+        "empty.h5": "holds nothing; known are .*CD/events",
         "raster.npy": "--input",
         "objects.npy": "object",
         "text.csv": "no recording",
