@@ -291,8 +291,7 @@ def compare(
     options: options of the environment
     setup: fields of spikedeploy.setup.Setup, as in fault=("dead-neurons:2",)
     """
-    from spikedeploy.comparison.evaluation import compare_policies
-    from spikedeploy.comparison.lineup import line_up
+    from spikedeploy.comparison.evaluation import compare_policies, line_up
     from spikedeploy.objects import env_target, teacher_target
     from spikedeploy.policies.scripts import teacher_candidate
     from spikedeploy.reports import comparison_page as report

@@ -18,12 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikedeploy import envs
 from spikedeploy.comparison.comparison import Comparison
-from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import say
 from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.policies.nir import NirController
-from spikedeploy.policies.registry import Candidate, Player, check_fit, open_policy
+from spikedeploy.policies.registry import Candidate, Entry, Player, check_fit, open_policy
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.metrics.energy import energy, energy_table

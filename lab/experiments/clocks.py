@@ -19,14 +19,13 @@ from lab.experiments.runner import RESULTS, TASKS, Experiment, Record
 from spikedeploy import zoo
 from spikedeploy.comparison.comparison import Row
 from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import (
     Estimate,
     risk,
     stratified_bootstrap,
 )
 from spikedeploy.policies import costs
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import Entry, find
 
 FIRST_SEED, EPISODES = 80_000, 100
 # task -> the float policy whose returns are 100 %, then small float ones

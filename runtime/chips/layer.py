@@ -174,7 +174,7 @@ class Layer:
     v_reset: Numbers | int = 0
     floor: Numbers | None = None
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Neurons: N."""
         return int(self.threshold.size)

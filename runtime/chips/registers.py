@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -64,7 +65,7 @@ class Register:
                 f"overflow {self.overflow!r} is unknown. Choose one of {', '.join(OVERFLOWS)}."
             )
 
-    @property
+    @cached_property
     def limit(self) -> int:
         """Largest magnitude that fits whatever the overflow: 2**(bits - 1) - 1, if not less."""
         edge = (1 << (self.bits - 1)) - 1

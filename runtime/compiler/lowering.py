@@ -204,7 +204,7 @@ class Population:
         """Number of synapses onto it."""
         return sum(int(projection.into.sum()) for projection in self.presynaptic)
 
-    @property
+    @cached_property
     def recurrent(self) -> bool:
         """True if a loop closes here."""
         return any(projection.late for projection in self.presynaptic)
@@ -291,12 +291,9 @@ class Lowering:
             ways.setdefault(each.source, []).append(each)
         return Block(target, tuple(names), ways)
 
-    def leaving(self, name: str) -> list[Projection]:
-        """The projections that start in an input or population."""
-        return self._leaving.get(name, [])
-
     @cached_property
-    def _leaving(self) -> dict[str, list[Projection]]:
+    def leaving(self) -> dict[str, list[Projection]]:
+        """The projections that start in each input or population; of some there are none."""
         found: dict[str, list[Projection]] = {}
         for projection in (each for p in self.populations for each in p.presynaptic):
             found.setdefault(projection.source, []).append(projection)
@@ -304,7 +301,7 @@ class Lowering:
 
     def fan_out(self, name: str, targets: Collection[str] | None = None) -> Counts:
         """(M,) synapses that each spike of an input or population reaches, in these targets."""
-        found = self.leaving(name)
+        found = self.leaving.get(name, ())
         out = [each.out for each in found if targets is None or each.target in targets]
         return np.sum(out, axis=0) if out else np.zeros(1, np.int64)
 

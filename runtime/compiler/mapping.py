@@ -185,7 +185,7 @@ def _divide(network: Lowering, limits: Limits, loads: Mapping[str, "Loads"]) -> 
 def _target_cores(network: Lowering, name: str, cores: Mapping[str, int]) -> int:
     """Cores that a neuron of a population, or an input, projects to; at most its synapses."""
     synapses: dict[str, int] = {}
-    for projection in network.leaving(name):
+    for projection in network.leaving.get(name, ()):
         most = int(projection.out.max())
         synapses[projection.target] = synapses.get(projection.target, 0) + most
     return sum(min(cores[target], most) for target, most in synapses.items())

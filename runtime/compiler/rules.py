@@ -208,7 +208,7 @@ def _primitive(design: PlacedNetwork) -> Results:
             yield RuleResult("", name, "pass", kind, note="computed by the host")
             continue
         spikes = name in design.artifact.sigma_delta
-        if kind in READOUTS and not spikes and design.network.leaving(name):
+        if kind in READOUTS and not spikes and design.network.leaving.get(name):
             kind = f"{kind} before neurons"
             possible = tuple(each for each in possible if each not in READOUTS)
         replace_it = "Replace the node, or run the network in float."
@@ -361,7 +361,7 @@ def _axon_signs(design: PlacedNetwork) -> Results:
         "double each source: one neuron with the positive weights, one with the negative."
     )
     for name in (*design.network.inputs, *(p.name for p in design.network.populations)):
-        found = design.network.leaving(name)
+        found = design.network.leaving.get(name, ())
         if weights := [each.weight for each in found if each.weight is not None]:
             up = np.any([(weight > 0).any(axis=1) for weight in weights], axis=0)
             down = np.any([(weight < 0).any(axis=1) for weight in weights], axis=0)
@@ -539,7 +539,10 @@ def _fan_out(design: PlacedNetwork) -> Measured:
 
 def _destinations(design: PlacedNetwork) -> Measured:
     for population in design.network.populations:
-        yield population.name, len({e.target for e in design.network.leaving(population.name)})
+        yield (
+            population.name,
+            len({e.target for e in design.network.leaving.get(population.name, ())}),
+        )
 
 
 def _input_targets(design: PlacedNetwork) -> Measured:

@@ -6,6 +6,7 @@ The compiled program has one input of M spike trains, whatever the number and sh
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import nir
@@ -28,7 +29,7 @@ class Port:
     name: str
     shape: tuple[int, ...]
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Values in a timestep."""
         return math.prod(self.shape)

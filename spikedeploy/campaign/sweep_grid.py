@@ -16,11 +16,18 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.lineup import Entry
 from spikedeploy.console import say
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.envs.repeats import check_repeats
-from spikedeploy.policies.registry import BUILT_IN, DEFAULT_CHIP, FLOAT, Candidate, check_fit, find
+from spikedeploy.policies.registry import (
+    BUILT_IN,
+    DEFAULT_CHIP,
+    FLOAT,
+    Candidate,
+    Entry,
+    check_fit,
+    find,
+)
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.faults import faults

@@ -22,7 +22,7 @@ import numpy as np
 
 from spikedeploy.campaign.search_space import search_space
 from spikedeploy.comparison.episodes import EpisodeJob, play
-from spikedeploy.comparison.lineup import make_entries
+from spikedeploy.comparison.evaluation import make_entries
 from spikedeploy.jobs import JobResult, Pool, output_to, sigterm_as_interrupt
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.runtime.errors import ConfigError

@@ -146,7 +146,9 @@ def run(
         _check_via(via, {"chip": chip, "native": native}, setup, reading, clock)
     policy = _adopt(policy, reading, codec, env, chip, setup, force)
     file, loop, drove = runnable(policy), None, None
-    play = partial(run_policy, file, env or trained_in(policy), seeds=range(seed, seed + episodes))
+    if file != policy:  # a run folder, whose environment is the user's own
+        env = env or trained_in(policy)
+    play = partial(run_policy, file, env, seeds=range(seed, seed + episodes))
     with _hardware(via, file) as core:
         if core is None:
             with clock.loop(setup.energy) as loop:
@@ -294,8 +296,7 @@ def compare(
     Output:
         output: folder for report.json, report.html and plots
     """
-    from spikedeploy.comparison.evaluation import compare_policies
-    from spikedeploy.comparison.lineup import line_up
+    from spikedeploy.comparison.evaluation import compare_policies, line_up
     from spikedeploy.policies.scripts import teacher_candidate
     from spikedeploy.reports.terminal import print_comparison
     from spikedeploy.runtime.chips.chip import split_names

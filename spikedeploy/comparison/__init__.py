@@ -2,8 +2,7 @@
 
 A comparison becomes rows of plain data (`Comparison.as_json`), which `reports` shows.
 
-lineup           which policies play, on which chip, and what each is measured against
-evaluation       every entry on every seed, in parallel; or one policy alone
+evaluation       which policies play, on which chip; every entry on every seed; or one policy
 episodes         one episode as a job: played, measured, compared with those of its references
 comparison       the rows: returns, agreement, costs, energies, metrics
 episode_metrics  numbers of an episode from its step infos: speed, falls, lap time ...

@@ -18,7 +18,6 @@ from spikedeploy.comparison.episodes import (
     pooled_equality,
     pooled_rmse,
 )
-from spikedeploy.comparison.lineup import Entry
 from spikedeploy.comparison.statistics import (
     bootstrap,
     paired_difference,
@@ -27,7 +26,7 @@ from spikedeploy.comparison.statistics import (
 )
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by, reported
-from spikedeploy.policies.registry import BASELINES, UNTRAINED
+from spikedeploy.policies.registry import BASELINES, UNTRAINED, Entry
 from spikedeploy.runtime.chips.damage import sum_damage
 from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.metrics.energy import BREAK_EVEN_TABLES, break_even_sops, static_energy

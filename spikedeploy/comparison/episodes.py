@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.comparison.episode_metrics import measure, measure_named
-from spikedeploy.comparison.lineup import Entry
 from spikedeploy.envs.rollout import Rollout, rollout
 from spikedeploy.policies.costs import Costs
-from spikedeploy.policies.registry import Candidate, Player, open_policy
+from spikedeploy.policies.registry import Candidate, Entry, Player, open_policy
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.setup import Setup
 

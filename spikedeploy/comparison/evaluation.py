@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from spikedeploy import envs
+from spikedeploy import envs, zoo
 from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import (
     Episode,
@@ -19,13 +19,15 @@ from spikedeploy.comparison.episodes import (
     play,
     summarise,
 )
-from spikedeploy.comparison.lineup import Entry, remark_on_chip
 from spikedeploy.console import progress, say
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import EpisodeRecorder, rollout
 from spikedeploy.jobs import local_pool
 from spikedeploy.outputs import mark
 from spikedeploy.policies.registry import (
+    FLOAT,
+    Candidate,
+    Entry,
     check_fit,
     confirm,
     find,
@@ -37,6 +39,92 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.setup import DEFAULT, Setup
 from spikedeploy.video import Frame, Pace, add_caption, mp4
+
+# of the shipped policies, in table order: the more a control sees and can compute, the later
+_CONTROLS = ("phase", "bilinear", "fourier", "linear", "mlp-8", "mlp-16", "mlp-32", "mlp-64",
+             "pruned", "small")  # fmt: skip
+
+
+def line_up(
+    env: str,
+    files: Sequence[str],
+    chips: Sequence[str] | None,
+    teacher: Candidate | None = None,
+    setup: Setup = DEFAULT,
+) -> list[Entry]:
+    """Float ANNs, float SNNs, each SNN on each chip, built-in players and the shipped controls.
+
+    env: short name or id of the environment
+    files: policies to compare; none stands for the shipped ones of the environment
+    chips: for those that spike; None stands for that which each was trained for, or the default
+    teacher: a row beside the files; one that is a network is the float ANN
+    setup: setup of all entries
+    """
+    spec = envs.spec(env)
+    short = spec.short
+    shipped = [find(str(path)) for path in zoo.policies(short)]
+    chosen = [find(file) for file in files] or shipped
+    if teacher is not None:
+        chosen = [teacher, *(candidate for candidate in chosen if candidate != teacher)]
+    if not chosen:
+        how = f"train {short} --recipe ppo-snn" if spec.foreign else "train"
+        raise ConfigError(
+            f"no policies are shipped for {short} yet: name files or run folders, or train one "
+            f"with `spikedeploy {how}`"
+        )
+    chosen = _distinct(chosen)
+    networks = _of_kind("ann", chosen) or _of_kind("ann", shipped)
+    ann = Entry(networks[0], setup=setup) if networks else None
+    entries = [ann] if ann else []
+    entries += [Entry(candidate, None, ann, setup) for candidate in networks[1:]]
+    for candidate in _of_kind("snn", chosen):
+        exported = candidate.format == ".nir"  # a run folder is torch, which no chip runs
+        on = ([candidate.default_chip] if chips is None else chips) if exported else ()
+        entries += _on_chips(candidate, on, ann, setup)
+    controls = [find(name) for name in spec.controls]
+    order = {name: place for place, name in enumerate(_CONTROLS)}
+    others = dict.fromkeys(_of_kind("control", [*chosen, *shipped]))
+    ranked = sorted(others, key=lambda control: order.get(control.name, len(order)))
+    controls += [each for each in ranked if each not in controls]
+    # what looks at no observation has no actions for those of others
+    return entries + [
+        Entry(each, None, None if each.format == "expert" else ann, setup) for each in controls
+    ]
+
+
+def make_entries(candidate: Candidate, chip: str | None, setup: Setup = DEFAULT) -> list[Entry]:
+    """A policy without baselines: one that spikes as its float twin and on the chip."""
+    if candidate.kind != "snn":
+        return [Entry(candidate, setup=setup)]
+    return _on_chips(candidate, (chip,), None, setup)
+
+
+def _on_chips(
+    candidate: Candidate, chips: Sequence[str | None], ann: Entry | None, setup: Setup
+) -> list[Entry]:
+    """A spiking policy in float and on chips.
+
+    One that was trained in a chip's integers has no float twin: its file read in float is another
+    network.
+    """
+    twin = None if candidate.chip else Entry(candidate, FLOAT, ann, setup)
+    rows = [Entry(candidate, chip, twin or ann, setup) for chip in chips]
+    return rows if twin is None else [twin, *rows]
+
+
+def _of_kind(kind: str, candidates: Sequence[Candidate]) -> list[Candidate]:
+    return [candidate for candidate in candidates if candidate.kind == kind]
+
+
+def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates, with the folder in the name where names would be equal."""
+    names = [candidate.name for candidate in candidates]
+    return [
+        replace(candidate, name=f"{Path(candidate.path).parent.name}/{candidate.name}")
+        if names.count(candidate.name) > 1
+        else candidate
+        for candidate in candidates
+    ]
 
 
 class Hardware(Protocol):
@@ -60,13 +148,13 @@ def compare_policies(
     """Play every entry on every seed, in parallel, references before those that refer to them.
 
     env: short name or id of the environment
-    entries: rows of lineup.line_up; the reference of an entry is an entry too, all share a setup
+    entries: rows of line_up; the reference of an entry is an entry too, all share a setup
     seeds: (n,) from EVALUATION up, which no training uses
     processes: one for each core by default
     """
     setup, references = entries[0].setup, [id(entry.reference) for entry in entries]
     _check(env, setup.options(), entries, seeds)
-    for remark in filter(None, map(remark_on_chip, entries)):
+    for remark in filter(None, (entry.remark for entry in entries)):
         say(remark)
     played: dict[Entry, list[Episode]] = {}
     with (
@@ -142,7 +230,7 @@ def run_policy(
             f"--fault is of chips, and {entry.label} runs in float. Leave it out, or run a spiking "
             "policy on a chip."
         )
-    if remark := remark_on_chip(entry):
+    if remark := entry.remark:
         say(remark)
     mode = "rgb_array" if video else None
     name = env or candidate.env

@@ -3,7 +3,8 @@
 Each format is a subclass of `registry.Player`; adding one is a class here and a line in
 `registry.FORMATS`.
 
-registry     Candidate (before loading), Player (loaded); find and open_policy
+registry     Candidate (before loading), Entry (on a chip, with a setup), Player (loaded); find and
+             open_policy
 costs        spikes, operations and energy of an inference
 nir          NIR files: spiking policies, on an emulated chip or as their float twin
 onnx         ONNX files: float networks, on one thread

@@ -96,7 +96,8 @@ class NirController(Copyable, Player):
         self.controller = SpikingController(self.artifact, self.chip, rows, **options)
         self.codec, self.program = self.controller.codec, self.controller.program
         self.remarks = self.program.remarks
-        self._mark_start()
+        self._ledger_before: Ledger | None = None  # before the first episode
+        self._damage_before: tuple[Damage, ...] = ()
 
     @classmethod
     def describe(cls, path: Path) -> Candidate:
@@ -141,9 +142,6 @@ class NirController(Copyable, Player):
     def reset(self, seed: int) -> None:
         """Start an episode and its ledger."""
         self.controller.reset(seed)
-        self._mark_start()
-
-    def _mark_start(self) -> None:
         self._ledger_before, self._damage_before = self.controller.ledger, self.controller.damage
 
     def act(self, observation: Floats) -> NDArray[Any]:
@@ -177,7 +175,8 @@ class NirController(Copyable, Player):
     @property
     def ledger(self) -> Ledger:
         """Counts since the last reset, all inferences in one row."""
-        return self.controller.ledger.since(self._ledger_before)
+        found, before = self.controller.ledger, self._ledger_before
+        return found if before is None else found.since(before)
 
     def costs(self, played: Rollout) -> Costs:
         """Costs of the ledger of the episode, of the host beside it, and of the file."""

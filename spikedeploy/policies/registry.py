@@ -83,6 +83,59 @@ class Candidate:
         return self.chip or DEFAULT_CHIP if self.format == ".nir" else FLOAT
 
 
+@dataclass(frozen=True)
+class Entry:
+    """One row of a comparison, before it is played.
+
+    candidate: the policy
+    chip: a chip, "float" for the float twin of a spiking policy, None for what does not spike
+    reference: the entry it is measured against: the float ANN; on a chip its float twin
+    setup: setup of the evaluation, which all entries of a comparison share
+    """
+
+    candidate: Candidate
+    chip: str | None = None
+    reference: "Entry | None" = None
+    setup: Setup = DEFAULT
+
+    @property
+    def label(self) -> str:
+        """The name in tables: `popsan · loihi1`."""
+        if self.chip is None:
+            return self.candidate.name
+        remarks = "" if self.limits else ", limits off"
+        faulty = ", faulty" if self.on_chip and self.setup.faults else ""
+        return f"{self.candidate.name} · {self.chip}{remarks}{faulty}"
+
+    @property
+    def on_chip(self) -> bool:
+        """True where a chip is emulated."""
+        return self.chip not in (None, FLOAT)
+
+    @property
+    def limits(self) -> bool:
+        """True if the design rules of its chip were enforced."""
+        return self.setup.limits == "on" or not self.on_chip
+
+    @property
+    def references(self) -> list["Entry"]:
+        """Its reference, that one's reference, and so on up to the float ANN."""
+        return [] if self.reference is None else [self.reference, *self.reference.references]
+
+    @property
+    def rank(self) -> int:
+        """The number of entries that must be played before it."""
+        return len(self.references)
+
+    @property
+    def remark(self) -> str:
+        """The remark on a policy on another chip than it was trained for; empty on its own."""
+        trained = self.candidate.chip
+        if trained is None or self.chip in (None, trained) or trained == self.chip.split(":")[0]:
+            return ""
+        return f"{self.candidate.name} was trained for {trained}, and runs on {self.chip} here"
+
+
 BUILT_IN = {
     "gait": Candidate("gait", "gait", "gait", "gait"),
     "random": Candidate("random", "random", "random", "random"),

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from spikedeploy import zoo
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
 from spikedeploy.outputs import check_output, check_output_folder, has_text

@@ -15,8 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import make_entries
+from spikedeploy.comparison.evaluation import compare_policies, make_entries
 from spikedeploy.console import say
 from spikedeploy.exporters.check import ExportResult
 from spikedeploy.outputs import check_output_folder, has_text

@@ -17,8 +17,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import Entry
-from spikedeploy.policies.registry import BUILT_IN, find
+from spikedeploy.policies.registry import BUILT_IN, Entry, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import as_text, read_json, suffix, write_json, write_text
 from spikedeploy.runtime.schema import validate

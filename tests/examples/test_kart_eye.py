@@ -6,8 +6,7 @@ import pytest
 from examples.kart_eye.batch import EyeBatch, EyeOptions, nearest_action
 from examples.kart_eye.course import draw_course
 from spikedeploy import envs
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.exporters.parity import check as parity
 from spikedeploy.exporters.to_nir import to_nir

@@ -8,7 +8,7 @@ import typer
 
 from spikedeploy import envs, zoo
 from spikedeploy.commands.training import train
-from spikedeploy.comparison.lineup import line_up, remark_on_chip
+from spikedeploy.comparison.evaluation import line_up
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips import CHIPS
@@ -65,9 +65,9 @@ def test_it_is_found_by_name_runs_on_its_chip_and_stands_in_no_line_up(file):
     entries = line_up(env, [str(file)], None)
     assert [e.chip for e in entries if e.candidate.kind == "snn"] == [file.stem]
     assert find(name).default_chip == file.stem
-    assert not remark_on_chip(entries[0])
+    assert not entries[0].remark
     beside = line_up(env, [str(file)], ["int"])[0]
-    assert f"was trained for {file.stem}, and runs on int here" in remark_on_chip(beside)
+    assert f"was trained for {file.stem}, and runs on int here" in beside.remark
 
 
 def test_chips_are_separated_by_commas_or_given_again(command):

@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 
 from spikedeploy import envs, recordings
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.recordings import (
     NetworkTrace,
     RecordedEpisode,

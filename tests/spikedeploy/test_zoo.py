@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.evaluation import line_up
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.shipping.publish import page
 

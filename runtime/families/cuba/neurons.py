@@ -7,6 +7,7 @@ registers.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -84,13 +85,13 @@ class CubaRegisters:
         if self.refractory < 1:
             raise ChipError(f"refractory is {self.refractory}; the least is 1, which is none.")
 
-    @property
+    @cached_property
     def weight_step(self) -> int:
         """Distance between two neighbouring weights, a power of two."""
         dropped = max(self.weight_bits_allowed) - self.weight_bits
         return 1 << (dropped + (self.sign_mode == "mixed"))
 
-    @property
+    @cached_property
     def weight_max(self) -> int:
         """Largest weight of either sign."""
         widest = 1 << max(self.weight_bits_allowed)
@@ -104,7 +105,7 @@ class CubaRegisters:
         """
         return 7
 
-    @property
+    @cached_property
     def decay_one(self) -> int:
         """The decay that leaves nothing."""
         return 1 << self.decay_bits

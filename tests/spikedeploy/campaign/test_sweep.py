@@ -16,8 +16,7 @@ from spikedeploy.campaign.sweep import RESULTS, load_sweep, run_sweep
 from spikedeploy.campaign.sweep_grid import expand, read_grid
 from spikedeploy.campaign.sweep_page import cells, print_sweep
 from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import Entry
-from spikedeploy.policies.registry import find
+from spikedeploy.policies.registry import Entry, find
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import locked

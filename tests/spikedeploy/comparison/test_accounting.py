@@ -5,8 +5,7 @@ import json
 import pytest
 
 from spikedeploy.comparison.comparison import static
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import markdown_tables, tables
 from spikedeploy.reports.table import ABSENT

@@ -11,11 +11,10 @@ from spikedeploy.comparison.episodes import (
     pooled_equality,
     pooled_rmse,
 )
-from spikedeploy.comparison.evaluation import compare_policies, run_policy
-from spikedeploy.comparison.lineup import Entry, line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up, run_policy
 from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.rollout import Rollout
-from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.policies.registry import Entry, find, open_policy
 from spikedeploy.reports.columns import tables
 from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.setup import Setup

@@ -10,10 +10,9 @@ from spikedeploy.comparison.episodes import (
     median_divergence,
     pooled_rmse,
 )
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import Entry, line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.envs.rollout import rollout
-from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.policies.registry import Entry, find, open_policy
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from tests import toy_stroll_env
 

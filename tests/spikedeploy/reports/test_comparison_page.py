@@ -5,8 +5,7 @@ import re
 import pytest
 from matplotlib.colors import to_hex
 
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.headline import headline, main_row
 from spikedeploy.reports.page import asset

@@ -5,8 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from spikedeploy.comparison.evaluation import compare_policies
-from spikedeploy.comparison.lineup import line_up
+from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.comparison.summary import describe_macs, summary
 from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import format_operations, short_columns, tables
