@@ -134,7 +134,7 @@ def emulate(
     from spikedeploy.emulation.raster_emulation import emulate_artifact
     from spikedeploy.emulation.rasters import read_inputs
     from spikedeploy.outputs import check_output, has_text, mark
-    from spikedeploy.reports.terminal import print_emulation
+    from spikedeploy.reports.network_runs import print_emulation
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.metrics.energy import checked_table_names
 
@@ -186,12 +186,12 @@ def _emulate_events(
     from dataclasses import replace
 
     from spikedeploy.emulation.event_files import open_recording
-    from spikedeploy.emulation.event_input import input_shape, survey, view_of
+    from spikedeploy.emulation.event_input import input_shape, read_input, view_of
     from spikedeploy.emulation.event_output import write_spikes
     from spikedeploy.emulation.event_replay import Replay
     from spikedeploy.emulation.event_stream import emulate_events
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.reports.event_page import event_page, print_event_run
+    from spikedeploy.reports.network_runs import event_page, print_event_run
     from spikedeploy.reports.page import FILES, is_page_of, write_page
 
     file, events, output = paths
@@ -205,18 +205,17 @@ def _emulate_events(
     recording = open_recording(events, size, fallback)
     is_on_first = camera.channels == "on-off"
     view = view_of(artifact, recording.size, region, camera.downsample, is_on_first)
-    found = survey(recording, view)
-    steps = None
+    seconds = None
     if camera.step == "time":
-        steps = found.timesteps(camera.seconds() or artifact.convention.dt)
-    listeners: list[Any] = [Replay(found, steps)] if camera.page else []
+        seconds = camera.seconds() or artifact.convention.dt
+    given = read_input(recording, view, seconds)
+    listeners: list[Any] = [Replay(artifact, given)] if camera.page else []
     with ExitStack() as stack:
         if output:
-            writer = write_spikes(output, artifact, found, steps)
-            listeners.append(stack.enter_context(writer))
-        run = emulate_events(artifact, chip, recording, view, found, steps, listeners, **options)
+            listeners.append(stack.enter_context(write_spikes(output, artifact, given)))
+        run = emulate_events(artifact, chip, given, listeners, **options)
     convention = artifact.convention
-    if steps and camera.time_step is None and "snnTorch" in convention.source:
+    if seconds and camera.time_step is None and "snnTorch" in convention.source:
         remark = (
             f"timesteps of {convention.dt * 1e3:g} ms, as snnTorch writes whatever was meant: "
             "--time-step gives those in which the network was trained"

@@ -7,6 +7,7 @@ camera of envs/ observes; an Input (1, H, W) or (H, W) takes both as one.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,8 @@ from spikedeploy.runtime.camera_events import Events
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.runtime.graph.ports import ports
 
-_LONGEST = (
-    100_000_000  # timesteps of a recording: a day in milliseconds; a wrong unit of t has more
-)
+# timesteps of a recording: a day in milliseconds; a wrong unit of t has more
+_LONGEST = 100_000_000
 
 Region = tuple[int, int, int, int]
 
@@ -115,36 +115,24 @@ def input_shape(artifact: Artifact) -> tuple[int, int, int]:
 
 
 @dataclass(frozen=True)
-class TimeSteps:
-    """Timesteps over a recording, aligned to the camera's clock: k has the times from k us_each on.
+class EventInput:
+    """A recording as the input of a network; all of its events are checked.
 
-    us_each: duration of a timestep [us].
-    first: the timestep of the first event, which is the network's first.
-    count: T.
+    recording, view: where the events come from, and the part that is seen.
+    events: number of the recording's events.
+    channels: number of those that each channel of the Input sees.
+    first, last: times [us] of the first and the last event.
+    step_us: duration of a timestep [us]; None where a chip takes one event after another. Timesteps
+        are aligned to the camera's clock: k has the times from k step_us on.
     """
 
-    us_each: float
-    first: int
-    count: int
-
-    def index(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(E,) the timestep of times [us]."""
-        return np.floor(times / self.us_each).astype(np.int64) - self.first
-
-
-@dataclass(frozen=True)
-class Survey:
-    """The events of a recording, all of which are checked.
-
-    events: how many there are.
-    channels: how many of them each channel of the Input sees.
-    first, last: times [us] of the first and the last.
-    """
-
+    recording: Recording
+    view: EventView
     events: int
     channels: tuple[int, ...]
     first: int
     last: int
+    step_us: float | None
 
     @property
     def seen(self) -> int:
@@ -152,39 +140,56 @@ class Survey:
         return sum(self.channels)
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """On channels of the Input that no event reaches."""
+    def timesteps(self) -> int:
+        """Timesteps from that of the first event on; 0 where there are none."""
+        us = self.step_us
+        return 0 if us is None else int(self.last // us) - int(self.first // us) + 1
+
+    @property
+    def duration(self) -> float:
+        """Time that the network runs [us]."""
+        return self.timesteps * self.step_us if self.step_us else max(self.last - self.first, 1)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Remarks on how the recording is read, and on channels that no event reaches."""
         if not self.seen:
-            return ("no event of the recording reaches the Input",)
-        return tuple(
-            f"channel {k} of the Input got no event: all {self.seen:,} that reach it have the "
-            "other polarity"
-            for k, count in enumerate(self.channels)
-            if not count
-        )
+            return [*self.recording.remarks, "no event of the recording reaches the Input"]
+        return [
+            *self.recording.remarks,
+            *(
+                f"channel {k} of the Input got no event: all {self.seen:,} that reach it have the "
+                "other polarity"
+                for k, count in enumerate(self.channels)
+                if not count
+            ),
+        ]
 
-    def duration(self, steps: TimeSteps | None) -> float:
-        """Time that a network runs over it [us]."""
-        return steps.count * steps.us_each if steps else max(self.last - self.first, 1)
+    def rows(self) -> Iterator[NDArray[np.int64]]:
+        """Counts (M,) of events of each neuron of the Input, timestep by timestep."""
+        us = self.step_us or 1.0
+        size, now, start = int(np.prod(self.view.shape)), 0, int(self.first // us)
+        row = np.zeros(size, np.int64)
+        for events in self.recording.events():
+            neuron = self.view.neurons(events)
+            step = np.floor(events["t"][neuron >= 0] / us).astype(np.int64) - start
+            neuron = neuron[neuron >= 0]
+            bounds = [*np.flatnonzero(np.diff(step, prepend=-1)).tolist(), len(step)]
+            for first, end in pairwise(bounds):
+                while now < step[first]:
+                    yield row
+                    row, now = np.zeros(size, np.int64), now + 1
+                np.add.at(row, neuron[first:end], 1)
+        while now < self.timesteps:
+            yield row
+            row, now = np.zeros(size, np.int64), now + 1
 
-    def timesteps(self, seconds: float) -> TimeSteps:
-        """Timesteps of this duration from the first event to the last."""
-        us_each = seconds * 1e6
-        if abs(us_each - round(us_each)) < 1e-6:
-            us_each = float(round(us_each))
-        first = int(self.first // us_each)
-        count = int(self.last // us_each) - first + 1
-        if count > _LONGEST:
-            raise ConfigError(
-                f"the recording lasts {(self.last - self.first) / 1e6:g} s, which are {count} "
-                f"timesteps of {seconds:g} s; at most {_LONGEST}. Give a longer --time-step, or "
-                "correct the unit of t, which is microseconds."
-            )
-        return TimeSteps(us_each, first, count)
 
+def read_input(recording: Recording, view: EventView, seconds: float | None) -> EventInput:
+    """Read a recording once; ObservationError where it holds no event or an impossible one.
 
-def survey(recording: Recording, view: EventView) -> Survey:
-    """Read a recording once; ObservationError where it holds no event or an impossible one."""
+    seconds: duration of a timestep; None where there are none.
+    """
     count = last = 0
     first: int | None = None
     channels, height, width = view.shape
@@ -196,27 +201,14 @@ def survey(recording: Recording, view: EventView) -> Survey:
         seen += np.bincount(neurons[neurons >= 0] // (height * width), minlength=channels)
     if first is None:
         raise ObservationError(f"{recording.path} holds no event. Record anew.")
-    return Survey(count, tuple(seen.tolist()), first, last)
-
-
-def count_rows(
-    recording: Recording, view: EventView, steps: TimeSteps
-) -> Iterator[NDArray[np.int64]]:
-    """Counts (M,) of events of each neuron of the Input, timestep by timestep."""
-    size, now = int(np.prod(view.shape)), 0
-    row = np.zeros(size, np.int64)
-    for events in recording.events():
-        neuron = view.neurons(events)
-        is_seen = neuron >= 0
-        step, neuron = steps.index(events["t"][is_seen]), neuron[is_seen]
-        if not len(step):
-            continue
-        starts = [0, *(np.flatnonzero(np.diff(step)) + 1).tolist()]
-        for first, end in zip(starts, [*starts[1:], len(step)], strict=True):
-            while now < step[first]:
-                yield row
-                row, now = np.zeros(size, np.int64), now + 1
-            np.add.at(row, neuron[first:end], 1)
-    while now < steps.count:
-        yield row
-        row, now = np.zeros(size, np.int64), now + 1
+    us = None if seconds is None else seconds * 1e6
+    if us is not None and abs(us - round(us)) < 1e-6:
+        us = float(round(us))
+    found = EventInput(recording, view, count, tuple(seen.tolist()), first, last, us)
+    if found.timesteps > _LONGEST:
+        raise ConfigError(
+            f"the recording lasts {(last - first) / 1e6:g} s, which are {found.timesteps} "
+            f"timesteps of {seconds:g} s; at most {_LONGEST}. Give a longer --time-step, or "
+            "correct the unit of t, which is microseconds."
+        )
+    return found

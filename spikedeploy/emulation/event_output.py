@@ -1,58 +1,49 @@
 """Spikes and outputs of a run over a recording, written while it runs."""
 
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.event_input import Survey, TimeSteps
+from spikedeploy.emulation.event_input import EventInput
 from spikedeploy.emulation.event_stream import Listener, node_shape
-from spikedeploy.emulation.raster_emulation import LARGEST, NIR_DATA
+from spikedeploy.emulation.raster_emulation import NIR_DATA
+from spikedeploy.emulation.rasters import write_rasters
 from spikedeploy.outputs import mark
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.nir_data import EventDataWriter
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import replacing, suffix
 
+_LARGEST = 1 << 30  # bytes of rasters in memory
+
 
 @contextmanager
-def write_spikes(
-    path: Path, artifact: Artifact, found: Survey, steps: TimeSteps | None
-) -> Iterator[Listener]:
+def write_spikes(path: Path, artifact: Artifact, given: EventInput) -> Iterator[Listener]:
     """Yield the listener that writes spikes and output to a file, complete at the end of the block.
 
     .h5 is NIRData: of each layer its spikes as events, with times [s], and the output as rows. .npz
     holds rasters (T, *N).
-
-    found: the survey of the recording.
-    steps: timesteps; None where there are none.
     """
+    step = given.step_us
     if suffix(path) in NIR_DATA:
-        seconds = found.duration(steps) / 1e6
-        with replacing(path) as part, EventDataWriter(part, seconds) as writer:
+        with replacing(path) as part, EventDataWriter(part, given.duration / 1e6) as writer:
             yield _Events(writer, artifact)
-            writer.close(mark("emulate"), steps.us_each / 1e6 if steps else None)
+            writer.close(mark("emulate"), step and step / 1e6)
         return
-    size = (steps.count if steps else 0) * sum(
-        int(np.prod(node_shape(artifact, name))) for name in artifact.neurons
-    )
-    if steps is None or size > LARGEST:
-        why = f"takes {size} bytes; at most {LARGEST}" if steps else "has no timesteps"
+    sizes = (int(np.prod(node_shape(artifact, name))) for name in artifact.neurons)
+    size = given.timesteps * sum(sizes)
+    if step is None or size > _LARGEST:
+        why = f"takes {size} bytes; at most {_LARGEST}" if step else "has no timesteps"
         raise ConfigError(
             f"-o {path}: a raster of this recording {why}. Name a .h5, which holds events."
         )
-    with (
-        replacing(path) as part,
-        TemporaryDirectory(prefix=f".{path.name}.", dir=part.parent) as folder,
-    ):
-        rasters = _Rasters(Path(folder), artifact, steps)
-        yield rasters
-        rasters.save(part)
+    rasters = _Rasters(artifact, step, given.timesteps)
+    yield rasters
+    write_rasters(path, rasters.rows, mark("emulate"))
 
 
 class _Events:
@@ -76,12 +67,14 @@ class _Events:
 
 
 class _Rasters:
-    """Spikes as rasters, in temporary files until all of them are there; a Listener."""
+    """Spikes as rasters; a Listener.
 
-    def __init__(self, folder: Path, artifact: Artifact, steps: TimeSteps) -> None:
-        self._folder, self._artifact = folder, artifact
-        self._step, self._timesteps = steps.us_each, steps.count
-        self._rasters: dict[str, NDArray[Any]] = {}
+    rows: node -> (T, *N).
+    """
+
+    def __init__(self, artifact: Artifact, step_us: float, timesteps: int) -> None:
+        self._artifact, self._step, self._timesteps = artifact, step_us, timesteps
+        self.rows: dict[str, NDArray[Any]] = {}
 
     def add_spikes(
         self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
@@ -90,25 +83,14 @@ class _Rasters:
         if name not in self._artifact.graph.inputs:
             kind = np.int64 if name in self._artifact.sigma_delta else np.uint8
             rows = self._raster(name, node_shape(self._artifact, name), kind)
-            rows[np.rint(at / self._step).astype(np.int64), neurons] = counts
+            flat = rows.reshape(self._timesteps, -1)
+            flat[np.rint(at / self._step).astype(np.int64), neurons] = counts
 
     def add_output(self, at: float, values: NDArray[np.float64]) -> None:
         """Write a row of the output."""
-        rows = self._raster("output", values.shape, np.float64)
-        rows[round(at / self._step)] = values
+        self._raster("output", values.shape, np.float64)[round(at / self._step)] = values
 
     def _raster(self, name: str, shape: tuple[int, ...], kind: type) -> NDArray[Any]:
-        """(T, N) of a node."""
-        if name not in self._rasters:
-            place = self._folder / str(len(self._rasters))
-            self._rasters[name] = np.memmap(place, kind, "w+", shape=(self._timesteps, *shape))
-        flat: NDArray[Any] = self._rasters[name].reshape(self._timesteps, -1)
-        return flat
-
-    def save(self, path: Path) -> None:
-        """Write all rasters to a .npz file."""
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
-            archive.comment = mark("emulate").encode()
-            for name, rows in self._rasters.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.asarray(rows), allow_pickle=False)
+        if name not in self.rows:
+            self.rows[name] = np.zeros((self._timesteps, *shape), kind)
+        return self.rows[name]

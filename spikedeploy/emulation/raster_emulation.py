@@ -1,7 +1,6 @@
 """Open loop: rasters into a network; spikes, outputs, events, measurements and costs out of it."""
 
-import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.rasters import Raster, in_batch
+from spikedeploy.emulation.counted_run import SILENT, CountedRun, several_remark
+from spikedeploy.emulation.rasters import Raster, in_batch, write_rasters
 from spikedeploy.outputs import mark
-from spikedeploy.policies.costs import priced_by
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.nir_data import write_nir_data
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
@@ -24,8 +23,6 @@ from spikedeploy.runtime.graph.ports import by_port, ports, split
 from spikedeploy.runtime.metrics.energy import (
     TIME_MODELS,
     EnergyEstimate,
-    energy_estimate,
-    energy_table,
     latency_estimate,
     static_energy,
 )
@@ -38,40 +35,6 @@ _STATE = 48
 LARGEST = 1 << 32
 NIR_DATA = (".h5", ".hdf5")
 _UNLIMITED = "limits off: `spikedeploy check` says whether the chip has room for this network"
-# networks of other tools are often silent because they mean other units
-SILENT = (
-    "no neuron spikes: unless the input is too weak, time constants or thresholds are read "
-    "otherwise than meant; --from names the tool that wrote the file"
-)
-
-
-# key of a record -> event
-TOTALS = {
-    "sops": "sop",
-    "bias_sops": "bias_sop",
-    "neuron_updates": "neuron_update",
-    "saturations": "saturation",
-}
-
-
-def totals(ledger: Ledger | None, events: Mapping[str, str]) -> dict[str, int | None]:
-    """Key -> total of an event; None where events are not counted."""
-    return {key: ledger.total(event) if ledger else None for key, event in events.items()}
-
-
-def several_remark(several: Mapping[str, int], artifact: Artifact, chip: str) -> list[str]:
-    """A remark on neurons that sent several spikes in a timestep, where the file's send one.
-
-    several: node -> how often
-    """
-    found = [f"{count:,} times in {name!r}" for name, count in several.items() if count]
-    if not found or artifact.convention.spikes == "many":
-        return []
-    return [
-        f"neurons of {chip} sent several spikes in one timestep, {', '.join(found)}; those of the "
-        "file send one. Larger thresholds beside the weights make it rarer, and sd.on_chip trains "
-        "with it (docs/own-network.md)"
-    ]
 
 
 @dataclass(frozen=True)
@@ -132,47 +95,29 @@ def measure_inference(
     )
 
 
-@dataclass(frozen=True, repr=False)
-class Emulation:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Emulation(CountedRun):
     """One inference over a raster of T timesteps.
 
-    artifact: the network and its convention
-    chip: it ran on, or "float"
     spikes: node -> (T, *N) spikes, or how many where a neuron may send several in a timestep
     outputs: Output node -> (T, *act); a single one is called "output"
-    ledger: ledger of this inference; None where `uncounted` says why
-    uncounted: why the events could not be counted
-    remarks: remarks of the compiler, on where the chip departs from the file; and SILENT
-    measures: NeuroBench's numbers, memory and time; None likewise
-    tables: energy tables to price by; empty for those of the chip
-    clock: how the layers advanced, in words; empty in float
+    measures: NeuroBench's numbers, memory and time; None where events could not be counted
     batch: inferences, B, which all arrays have as their first axis then; None for a single one
     """
 
-    artifact: Artifact
-    chip: str
     spikes: Mapping[str, NDArray[Any]]
     outputs: Mapping[str, NDArray[np.float64]]
-    ledger: Ledger | None
-    uncounted: str = ""
-    remarks: tuple[str, ...] = ()
     measures: Measures | None = None
-    tables: Sequence[str] = ()
-    clock: str = ""
     batch: int | None = None
 
     def save(self, path: Path) -> None:
         """Write a .npz, or NIRData in .h5: spikes and outputs, each by the name of its node."""
-        own, everything = mark("emulate"), {**self.spikes, **self.outputs}
-        with replacing(path) as part:
-            if suffix(path) in NIR_DATA:
-                write_nir_data(part, everything, self.artifact.convention.dt, own)
-                return
-            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive:
-                archive.comment = own.encode()
-                for name, rows in everything.items():
-                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                        np.lib.format.write_array(member, np.asanyarray(rows), allow_pickle=False)
+        everything = {**self.spikes, **self.outputs}
+        if suffix(path) in NIR_DATA:
+            with replacing(path) as part:
+                write_nir_data(part, everything, self.artifact.convention.dt, mark("emulate"))
+        else:
+            write_rasters(path, everything, mark("emulate"))
 
     @property
     def timesteps(self) -> int:
@@ -223,29 +168,14 @@ class Emulation:
             for name in (ledger.readouts if ledger else ())
         }
         return {
-            "chip": self.chip,
+            **self.counts(),
             "timesteps": self.timesteps,
-            "convention": self.artifact.convention.to_record(),
-            "clock": self.clock or None,
             "spikes": sum(each["spikes"] for each in layers.values()),
-            **totals(ledger, TOTALS),
-            "energy_j": {name: each.value for name, each in self.energies.items()},
-            "energy_interval_j": {n: [each.low, each.high] for n, each in self.energies.items()},
             **(self.measures.as_json() if self.measures else {"neurobench": None}),
             "layers": layers,
             "readouts": readouts,
             "outputs": {name: list(rows.shape[1:]) for name, rows in self.outputs.items()},
-            "uncounted": self.uncounted or None,
-            "remarks": list(self.remarks),
         }
-
-    @property
-    def energies(self) -> dict[str, EnergyEstimate]:
-        """Energy table -> [J] with its interval."""
-        if not self.ledger:
-            return {}
-        names = self.tables or priced_by(chip_or_float(self.chip))
-        return {name: energy_estimate(self.ledger, energy_table(name)) for name in names}
 
 
 def emulate_artifact(
@@ -294,7 +224,13 @@ def emulate_artifact(
     clock = "" if on is None else network.program.describe_clock()
     batch = len(next(iter(rows.values()))) if batched else None
     emulation = Emulation(
-        artifact, chip, spikes, outputs, None, remarks=remarks, clock=clock, batch=batch
+        artifact=artifact,
+        chip=chip,
+        spikes=spikes,
+        outputs=outputs,
+        remarks=remarks,
+        clock=clock,
+        batch=batch,
     )
     try:
         raster, ledger = network.program.joined(rows), network.ledger

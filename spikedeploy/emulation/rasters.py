@@ -12,6 +12,7 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.hdf5 import byte_budget
 from spikedeploy.runtime.artifact.nir_data import EXPANSION, FREE, is_nir_data, read_nir_data
 from spikedeploy.runtime.errors import ObservationError
+from spikedeploy.runtime.files import replacing
 from spikedeploy.runtime.graph.ports import check_unmasked, ports
 
 Raster = NDArray[Any]
@@ -63,6 +64,18 @@ def read_inputs(path: Path, artifact: Artifact) -> Raster | dict[str, Raster]:
     found = read_nir_data(path, shapes, artifact.convention.dt)
     most = byte_budget(path, FREE, EXPANSION)
     return {name: _checked(f"{path}: {name}", rows, most) for name, rows in found.items()}
+
+
+def write_rasters(path: Path, arrays: Mapping[str, Raster], remark: str) -> None:
+    """Write arrays by name to a .npz file, whose comment is a remark."""
+    with (
+        replacing(path) as part,
+        zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, allowZip64=True) as archive,
+    ):
+        archive.comment = remark.encode()
+        for name, rows in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(rows), allow_pickle=False)
 
 
 def _check_claim(path: Path, claimed: int) -> None:

@@ -12,7 +12,7 @@ comparison_page  report.json, report.html and report.md of a comparison
 design           a network against the design rules: by chip, by layer, by rule, core by core
 energy_verdict   whether spiking saves energy, beside published borders and static power
 drift_page       drift by layer and by rounding
-event_page       a run over the recording of an event camera
+network_runs     runs in open loop, over rasters and recordings of event cameras
 runs             training runs: scores, list, page
 datasheets       chips, energy tables, break-even lines, shipped policies
 terminal         what commands print of comparisons, emulations, files and traces

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from spikedeploy.console import print_list, print_text
-from spikedeploy.emulation.raster_emulation import Emulation, describe
 from spikedeploy.emulation.verification import Verification
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.reports.columns import (
@@ -16,7 +15,7 @@ from spikedeploy.reports.columns import (
     tables,
 )
 from spikedeploy.reports.headline import describe_disturbances, headline, sentences_of, verdict
-from spikedeploy.reports.table import ABSENT, Row, Table, format_bounds, format_si
+from spikedeploy.reports.table import Row, Table
 
 
 def print_checks(checks: Iterable[ParityCheck]) -> None:
@@ -156,74 +155,3 @@ _TIMES = {
     "policy_cpu": "policy, its own computation",
     "step": "whole step",
 }
-
-
-def print_emulation(emulation: Emulation, everything: bool = False) -> None:
-    """Print the outputs, the counts, the costs and the layers of an emulation.
-
-    everything: NeuroBench's measures too.
-    """
-    found, title = emulation.as_json(), f"One inference on {emulation.chip}"
-    facts = _emulation_facts(emulation)
-    facts |= _neurobench(found["neurobench"]) if everything else {}
-    Table(("what", "found"), list(facts.items()), title).print()
-    if hint := energy_hint([{"energy_per_inference_j": emulation.energies}]):
-        print_text(hint)
-    for remark in emulation.remarks:
-        print(f"  {remark}")
-    rows = [
-        (
-            name,
-            f"{layer['neurons']:,}",
-            f"{layer['spikes']:,}",
-            f"{layer['rate']:.4g}",
-            ABSENT if layer["sops"] is None else f"{layer['sops']:,}",
-        )
-        for name, layer in found["layers"].items()
-    ]
-    rows += [
-        (name, f"{readout['neurons']:,}", ABSENT, ABSENT, f"{readout['sops']:,}")
-        for name, readout in found["readouts"].items()
-    ]
-    if rows:
-        heads = ("layer", "neurons", "spikes", "rate", "SOPs")
-        Table(heads, rows, "Layers; rate per neuron and timestep", numbers=True).print()
-    if found["neurobench"] and not everything:
-        print_text("NeuroBench's measures: --tables all")
-
-
-def _emulation_facts(emulation: Emulation) -> dict[str, str]:
-    found = emulation.as_json()
-    counts = {
-        "spikes": "spikes",
-        "sops": "SOPs",
-        "bias_sops": "bias SOPs",
-        "neuron_updates": "neuron updates",
-        "saturations": "saturations",
-    }
-    energies = {
-        name: format_bounds(f"{format_si(each.value)}J", each.value, each.low, each.high)
-        for name, each in emulation.energies.items()
-    }
-    host = found.get("host") or {}
-    facts = {
-        "sums of outputs": ", ".join(
-            f"{name} {describe(values)}" for name, values in emulation.outputs.items()
-        ),
-        **{said: f"{found[name]:,}" for name, said in counts.items() if found[name] is not None},
-        **{f"energy, {name}": energy for name, energy in energies.items()},
-        "timesteps": f"{found['timesteps']:,}",
-        "convention": emulation.artifact.convention.describe(),
-        **({"tuned": tuned} if (tuned := emulation.artifact.tuned) else {}),
-        "clock": emulation.clock,
-        "host": ", ".join(f"{host[k]:,} {k}" for k in ("multiplications", "additions") if host),
-        "not counted": emulation.uncounted,
-    }
-    return {name: fact for name, fact in facts.items() if fact}
-
-
-def _neurobench(measures: Mapping[str, Any] | None) -> dict[str, str]:
-    if measures is None:
-        return {}
-    flat = {**measures, **measures["SynapticOperations"]}
-    return {name: f"{x:,.4g}" for name, x in flat.items() if isinstance(x, int | float)}

@@ -255,7 +255,7 @@ def test_a_network_without_pixels_is_refused(files, emulate, tmp_path):
 
 
 def test_a_page_is_bounded_and_holds_every_layer(files, emulate, tmp_path, monkeypatch):
-    monkeypatch.setattr(event_replay, "_MOST_CELLS", 500)
+    monkeypatch.setattr(event_replay, "_MOST_CELLS", 5000)
     for step, chip in (("time", "speck2f"), ("event", "speck2f:queue=on")):
         page = tmp_path / step
         words = ("--downsample", "2", "--step", step, "--chip", chip, "--page", str(page))
@@ -274,8 +274,8 @@ def test_a_page_is_bounded_and_holds_every_layer(files, emulate, tmp_path, monke
         assert episode["scene"]["every"] > 1
         assert f"every {episode['scene']['every']}th of" in html
         bits = [zlib.decompress(b64decode(each["spikes"]["data"])) for each in maps]
-        cells = sum(int(np.unpackbits(np.frombuffer(each, np.uint8)).sum()) for each in bits)
-        assert 0 < cells <= 500
+        assert 0 < 8 * sum(map(len, bits)) <= 6000
+        assert all(np.frombuffer(each, np.uint8).any() for each in bits)
         # the curves count everything
         spikes = [unpacked(each["values"]).sum() * episode["period"] for each in tracks]
         layers = [each["spikes"] for each in found["layers"].values()]
