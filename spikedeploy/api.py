@@ -29,7 +29,7 @@ from spikedeploy.runtime.choices import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.running_network import chip_or_float
-from spikedeploy.runtime.errors import ArtifactError, ConfigError, RuleError
+from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.setup import OnChip, Reading, Setup
@@ -94,8 +94,7 @@ class LoadedNetwork:
         found = emulate_artifact(
             self.artifact, self.chip, rows, batched=batched, **self.on_chip.arguments()
         )
-        ledger = found.ledger or Uncounted(found.uncounted)
-        return NetworkRun(**{**vars(found), "ledger": ledger})
+        return NetworkRun(**vars(found))
 
     def check(self, *chips: str) -> DesignReport:
         """Return True if the network fits on chips, rule by rule; by default on its own."""
@@ -135,24 +134,6 @@ class LoadedNetwork:
         nodes = [type(node).__name__ for node in self.artifact.graph.nodes.values()]
         kinds = [kind for kind in dict.fromkeys(nodes) if kind not in ("Input", "Output")]
         return ", ".join(f"{nodes.count(kind)} × {kind}" for kind in kinds)
-
-
-@dataclass(frozen=True)
-class Uncounted:
-    """The ledger of a run whose events could not be counted: false; its use raises an error.
-
-    why: the reason
-    """
-
-    why: str
-
-    def __bool__(self) -> bool:
-        return False
-
-    def __getattr__(self, name: str) -> object:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        raise RuleError(f"this run has no {name}: {self.why}")
 
 
 @dataclass(frozen=True, repr=False)

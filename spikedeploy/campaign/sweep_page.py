@@ -8,27 +8,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spikedeploy.campaign.sweep_grid import SweepJob
-from spikedeploy.comparison.episode_metrics import drives
 from spikedeploy.comparison.statistics import FEWEST, bootstrap, paired_difference, share
-from spikedeploy.comparison.summary import has_few_episodes
 from spikedeploy.console import print_text
 from spikedeploy.outputs import mark
+from spikedeploy.policies.costs import weighted_mean
 from spikedeploy.reports.columns import (
-    energy_cell,
+    earned_columns,
     field_cell,
-    format_difference,
-    format_operations,
-    format_return,
-    format_success,
+    has_few_episodes,
     measured_columns,
+    paid_columns,
     quoted_table,
 )
+from spikedeploy.reports.columns import format_difference as difference_cell
 from spikedeploy.reports.page import write_beside
-from spikedeploy.reports.table import ABSENT, Cell, Column, Table, write_rows
+from spikedeploy.reports.table import ABSENT, Column, Table, write_rows
 
 Record = dict[str, Any]
 PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
 _PER_INFERENCE = ("spikes_per_inference", "sops_per_inference", "macs_dense")
+_PRICES = ("energy_per_inference_j", "energy_interval_j")
 _ON_PAGES = ("episodes", "energy")  # for which a terminal is too narrow
 
 
@@ -100,18 +99,18 @@ class Sweep:
 def print_sweep(sweep: Sweep) -> None:
     """Print the table, the axes in one column."""
     rows = cells(sweep.found)
+    if not rows:
+        return
     axes = _axes(rows)
-    measured = [c for c in _measured_columns(rows) if c.title not in _ON_PAGES]
 
-    def name(row: Record) -> str:
+    def name(row: Mapping[str, Any]) -> str:
         return " · ".join(cell for axis in axes if (cell := axis.cell(row)) != ABSENT)
 
-    if rows:
-        lines = [[name(row), *(column.cell(row) for column in measured)] for row in rows]
-        heads = [" · ".join(axis.title for axis in axes), *(c.title for c in measured)]
-        Table(heads, lines, sweep.name, numbers=True).print()
-        if remark := _on_few_episodes(rows):
-            print_text(remark)
+    measured = [column for column in _measured(rows) if column.title not in _ON_PAGES]
+    columns = [Column(" · ".join(axis.title for axis in axes), "", name), *measured]
+    Table.from_records(columns, rows, sweep.name).print()
+    for remark in _remarks(rows):
+        print_text(remark)
 
 
 def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
@@ -125,13 +124,12 @@ def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
 
 def _page(sweep: Sweep) -> list[str]:
     rows = cells(sweep.found)
-    columns = [*_axes(rows), *_measured_columns(rows)]
+    columns = [*_axes(rows), *_measured(rows)]
     lines = [f"# Sweep {sweep.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
     if rows:
         lines += [Table.from_records(columns, rows).markdown(), ""]
         meanings = [f"{c.title}: {c.meaning}" for c in columns if c.meaning]
-        remarks = filter(None, [*meanings, _on_few_episodes(rows)])
-        lines += [*(f"* {remark}" for remark in remarks), ""]
+        lines += [*(f"* {remark}" for remark in (*meanings, *_remarks(rows))), ""]
     if sweep.failures:
         lines += ["## Failed", "", *(f"* {label}: {why}" for label, why in sweep.failures), ""]
     versions = {pair for job in sweep.jobs for pair in job.record["versions"].items()}
@@ -139,57 +137,37 @@ def _page(sweep: Sweep) -> list[str]:
     return [*lines, f"Computed with {', '.join(said)}; every job in [{NUMBERS}]({NUMBERS}).", ""]
 
 
-def _on_few_episodes(rows: Sequence[Record]) -> str:
-    """Return why some cells have no interval; empty where all have one."""
+def _remarks(rows: Sequence[Record]) -> list[str]:
+    """Return why some cells have no interval, where some have none."""
     if not any(map(has_few_episodes, rows)):
-        return ""
-    return (
+        return []
+    return [
         f"Cells of fewer than {FEWEST} episodes have no interval: it would hold the truth too "
         "seldom. `episodes` and `seed` of the grid set how many there are."
-    )
+    ]
 
 
 def _axes(rows: Sequence[Record]) -> list[Column]:
-    names = ("env", "policy", "chip", "disturb", "fault")
-    axes = [Column(name, "", _plain(name)) for name in names]
+    """Return columns for the axes of which there are several values, or for the policy."""
+    axes = [Column(n, "", field_cell(n)) for n in ("env", "policy", "chip", "disturb", "fault")]
     found = [axis for axis in axes if len({axis.cell(row) for row in rows}) > 1] or axes[1:2]
     if len({row["specimen"] for row in rows} - {None}) > 1:
-        found.append(Column("specimen", "which faulty chip", _plain("specimen")))
+        found.append(Column("specimen", "which faulty chip", field_cell("specimen")))
     return found
 
 
-def _measured_columns(rows: Sequence[Record]) -> list[Column]:
-    bounds = "" if all(map(has_few_episodes, rows)) else ", with its 95% {}interval"
-    resampled = bounds.format("bootstrap ")
-    success = (
-        Column("finished", f"episodes that reach the last gate{bounds.format('')}", format_success)
-        if any(map(drives, rows))
-        else Column("success", "episodes that succeed", field_cell("success_rate", ".0%"))
-    )
-    table = quoted_table(rows)
+def _measured(rows: Sequence[Record]) -> list[Column]:
+    earned, success = earned_columns(rows)
+    meaning = "of return, paired by seed, to the cell without disturbance and fault"
     columns = [
         Column("episodes", "", field_cell("episodes", ",d")),
-        Column("return", f"mean of all episodes{resampled}", format_return),
-        Column(
-            "to undisturbed",
-            "paired difference of return to the same seeds without disturbance and fault"
-            f"{resampled}",
-            _difference_cell,
-        ),
+        earned,
+        Column("to undisturbed", meaning, difference_cell),
         success,
-        Column("operations", "a control step, of synapses", format_operations),
-        Column("energy", f"a control step, of operations, by table {table}", energy_cell(table)),
+        *paid_columns(rows),
         *measured_columns(rows),
     ]
     return [c for c in columns if any(c.cell(row) != ABSENT for row in rows)]
-
-
-def _plain(name: str) -> Cell:
-    return lambda row: ABSENT if row[name] in (None, "") else str(row[name])
-
-
-def _difference_cell(row: Mapping[str, Any]) -> str:
-    return ABSENT if row["difference_mean"] is None else format_difference(row)
 
 
 def _line(sweep: Sweep, job: SweepJob, table: str) -> Record:
@@ -197,10 +175,7 @@ def _line(sweep: Sweep, job: SweepJob, table: str) -> Record:
     prices = row.get("energy_per_inference_j", {})
     return {
         "key": job.key,
-        "env": job.env,
-        "policy": job.entry.candidate.name,
-        "kind": row.get("kind"),
-        **_setup_fields(job),
+        **_fields(job, row),
         "seed": job.seed,
         "episodes": job.episodes,
         "status": "done" if row else "failed" if job.key in sweep.failed else "missing",
@@ -215,12 +190,16 @@ def _line(sweep: Sweep, job: SweepJob, table: str) -> Record:
     }
 
 
-def _setup_fields(job: SweepJob) -> Record:
+def _fields(job: SweepJob, row: Mapping[str, Any]) -> Record:
+    """Return what a line and a cell say of their job."""
     setup = job.entry.setup
     return {
+        "env": job.env,
+        "policy": job.entry.candidate.name,
+        "kind": row.get("kind"),
         "chip": job.entry.chip,
-        "disturb": " ".join(setup.disturb),
-        "fault": " ".join(setup.fault),
+        "disturb": " ".join(setup.disturb) or None,
+        "fault": " ".join(setup.fault) or None,
         "specimen": setup.specimen if setup.fault else None,
     }
 
@@ -239,14 +218,14 @@ def cells(found: Iterable[JobRow]) -> list[Record]:
 
 def _pooled(jobs: Sequence[JobRow]) -> Record:
     job, first = jobs[0]
-    returns = [value for each in jobs for value in each.row["returns"]]
-    successes = [value for each in jobs for value in each.row["successes"]]
+    rows = [each.row for each in jobs]
+    returns, successes = _values(jobs, "returns"), _values(jobs, "successes")
     estimate, rate = bootstrap(returns, _rng()), share(successes) if successes else None
-    pooled: Record = {
-        "env": job.env,
-        "policy": job.entry.candidate.name,
-        "kind": first["kind"],
-        **_setup_fields(job),
+    # means over inferences, of which each control step has one; of metrics over episodes
+    steps, episodes = [sum(row["steps"]) for row in rows], [each.job.episodes for each in jobs]
+    names = (*_PER_INFERENCE, *_PRICES)
+    return {
+        **_fields(job, first),
         "limits": first["limits"],
         "jobs": len(jobs),
         "episodes": len(returns),
@@ -254,34 +233,16 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
         "return_ci95": estimate.ci95,
         "success_rate": rate.mean if rate else None,
         "success_ci95": rate.ci95 if rate else None,
-        "foreign": first.get("foreign", False),
-        # so that tables speak of karts
-        **({"gates": first["gates"]} if "gates" in first else {}),
+        # so that tables speak of karts, and of worlds that are not ours
+        **{name: first[name] for name in ("gates", "foreign") if name in first},
+        **{name: weighted_mean([row.get(name) for row in rows], steps) for name in names},
+        "measured": weighted_mean([row.get("measured", {}) for row in rows], episodes),
     }
-    rows = [each.row for each in jobs]
-    # means over inferences, of which each control step has one; of metrics over episodes
-    steps = [sum(row["steps"]) for row in rows]
-    pooled |= {name: _mean([row.get(name) for row in rows], steps) for name in _PER_INFERENCE}
-    for name in ("energy_per_inference_j", "energy_interval_j"):
-        tables = first[name]
-        pooled[name] = {t: _price([row[name][t] for row in rows], steps) for t in tables}
-    measured = [row.get("measured", {}) for row in rows]
-    episodes = [each.job.episodes for each in jobs]
-    means = {name: _mean([row.get(name) for row in measured], episodes) for name in measured[0]}
-    pooled["measured"] = {name: mean for name, mean in means.items() if mean is not None}
-    return pooled
 
 
-def _price(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
-    """Return a mean, or the means of lower and of upper bounds, of which none bounds."""
-    if isinstance(values[0], Sequence):
-        return [_mean(bounds, weights) for bounds in zip(*values, strict=True)]
-    return _mean(values, weights)
-
-
-def _mean(values: Sequence[float | None], weights: Sequence[int]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.average(known, weights=weights)) if len(known) == len(values) else None
+def _values(jobs: Sequence[JobRow], name: str) -> list[Any]:
+    """Return a number of each episode of all jobs."""
+    return [value for each in jobs for value in each.row[name]]
 
 
 def _difference(jobs: Sequence[JobRow], groups: Mapping[str, Sequence[JobRow]]) -> Record:
@@ -290,8 +251,7 @@ def _difference(jobs: Sequence[JobRow], groups: Mapping[str, Sequence[JobRow]]) 
     seeds = [[each.job.seed for each in many] for many in (jobs, beside)]
     if job.undisturbed == job or seeds[0] != seeds[1]:
         return {"difference_mean": None, "difference_ci95": None}
-    left, right = ([v for each in many for v in each.row["returns"]] for many in (jobs, beside))
-    found = paired_difference(left, right, _rng())
+    found = paired_difference(_values(jobs, "returns"), _values(beside, "returns"), _rng())
     return {"difference_mean": found.mean, "difference_ci95": found.ci95}
 
 

@@ -1,7 +1,7 @@
 """One recipe trained with several seeds, side by side, each as a command of its own would."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,31 +41,10 @@ class SeedTraining:
         return f"seed {self.seed}: {end}"
 
 
-@dataclass(frozen=True)
-class SeedTrainings:
-    """The ends of all of them.
-
-    each: in the order of the seeds; those that were not begun are missing
-    interrupted: whether they were stopped from outside
-    """
-
-    each: Sequence[SeedTraining]
-    interrupted: bool
-
-    @property
-    def whole(self) -> list[float]:
-        """The best validation returns of whole trainings."""
-        return [e.best for e in self.each if e.best is not None and not e.stopped]
-
-    @property
-    def estimate(self) -> Estimate | None:
-        """Mean of the best validation returns of whole trainings, with its bootstrap interval."""
-        return bootstrap(self.whole, np.random.default_rng(0)) if self.whole else None
-
-    def as_json(self) -> dict[str, Any]:
-        """Return plain data."""
-        mean = self.estimate.as_json() if self.estimate else None
-        return {"seeds": [asdict(each) for each in self.each], "best": mean}
+def estimate(trainings: Sequence[SeedTraining]) -> Estimate | None:
+    """Mean of the best validation returns of whole trainings, with its bootstrap interval."""
+    whole = [each.best for each in trainings if each.best is not None and not each.stopped]
+    return bootstrap(whole, np.random.default_rng(0)) if whole else None
 
 
 def train_seeds(
@@ -74,8 +53,10 @@ def train_seeds(
     logs: Path,
     arguments: Mapping[str, Any],
     ended: Callable[[SeedTraining], None],
-) -> SeedTrainings:
+) -> tuple[list[SeedTraining], bool]:
     """Train with each of the seeds, `count` at a time; Ctrl-C stops them at checkpoints.
+
+    Returns the ends of those that were begun, and whether they were stopped from outside.
 
     logs: folder of a log for each
     arguments: of trainers.train.train
@@ -93,7 +74,7 @@ def train_seeds(
                 ended(found[seed])
     except KeyboardInterrupt:
         interrupted = True
-    return SeedTrainings([found[seed] for seed in seeds if seed in found], interrupted)
+    return [found[seed] for seed in seeds if seed in found], interrupted
 
 
 def train_seed(logs: Path, arguments: Mapping[str, Any], seed: int) -> SeedTraining:

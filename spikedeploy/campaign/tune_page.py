@@ -1,6 +1,5 @@
 """The page of a search, tune.md: its best settings, all trials, pictures."""
 
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE, SHOWN = "tune.md", "tune.html"
-_ENOUGH = 4  # trials, below which nothing can be said of importance
 _SEEDS = "These seeds chose the settings"
 
 
@@ -70,23 +68,6 @@ def _paragraphs(
     if not chosen:
         yield "No trial is complete" + (" within the budget." if plan.sops else ".")
     yield from (f"![{Path(name).stem}]({name})" for name in figures)
-    if shares := importances(study):
-        listed = ", ".join(f"{name} {share:.0%}" for name, share in shares.items())
-        yield f"Importance of settings for the return (PED-ANOVA): {listed}."
-
-
-def importances(study: "optuna.Study") -> dict[str, float]:
-    """Return setting -> share of the differences (Watanabe et al. 2023), largest first; or none."""
-    from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
-
-    values = [trial.values[0] for trial in study.trials if trial.state.name == "COMPLETE"]
-    if len(values) < _ENOUGH or len({*values}) < 2:
-        return {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # settings of one value have none
-        return get_param_importances(
-            study, evaluator=PedAnovaImportanceEvaluator(), target=lambda trial: trial.values[0]
-        )
 
 
 def _table(plan: TuningPlan, study: "optuna.Study") -> Table:

@@ -217,7 +217,7 @@ def _run_seeds(
     **settings: Any,  # noqa: ANN401
 ) -> None:
     """Train with each seed of a text such as `0-4`; print a line each and a table."""
-    from spikedeploy.campaign.training_seeds import train_seeds
+    from spikedeploy.campaign.training_seeds import estimate, train_seeds
     from spikedeploy.comparison.statistics import FEWEST
     from spikedeploy.jobs import cores
     from spikedeploy.reports.table import Table
@@ -231,26 +231,26 @@ def _run_seeds(
     file = str(config_file) if config_file else None
     arguments = {"recipe": recipe, "config_file": file, "runs": str(runs), **settings}
     say(f"{len(numbers)} trainings, {count} at a time; logs in {runs / 'logs'}")
-    found = train_seeds(numbers, count, runs / "logs", arguments, lambda each: say(each.line))
+    found, stopped = train_seeds(
+        numbers, count, runs / "logs", arguments, lambda each: say(each.line)
+    )
+    mean = estimate(found)
     if json:
-        print_json(found.as_json())
+        print_json({"seeds": [vars(each) for each in found], "best": mean and mean.as_json()})
     else:
         rows = [
-            (str(e.seed), "–" if e.best is None else f"{e.best:,.4g}", e.run or "–")
-            for e in found.each
+            (str(e.seed), "–" if e.best is None else f"{e.best:,.4g}", e.run or "–") for e in found
         ]
         Table(("seed", "best validation return", "run"), rows, str(recipe)).print()
-        if (mean := found.estimate) is not None:
-            low, high = mean.ci95
-            between = f", 95% bootstrap interval {low:,.4g} to {high:,.4g}"
-            few = f"; fewer than {FEWEST} trainings are too few for an interval"
-            print_text(f"mean {mean.mean:,.4g}{between if len(found.whole) >= FEWEST else few}")
-    if found.interrupted:
-        for each in found.each:
+        if mean is not None:
+            few = f"; of fewer than {FEWEST} trainings the interval holds the truth too seldom"
+            print_text(f"mean {mean.text(',.4g')}{few if len(found) < FEWEST else ''}")
+    if stopped:
+        for each in found:
             if each.run and each.stopped:
                 say(f"go on with `spikedeploy train --resume {shlex.quote(each.run)}`")
         raise typer.Exit(130)
-    raise typer.Exit(1 if any(each.failed for each in found.each) else 0)
+    raise typer.Exit(1 if any(each.failed for each in found) else 0)
 
 
 def distill(

@@ -7,5 +7,4 @@ episodes         one episode as a job: played, measured, compared with those of 
 comparison       the rows: returns, agreement, costs, energies, metrics
 episode_metrics  numbers of an episode from its step infos: speed, falls, lap time ...
 statistics       bootstrap and Wilson intervals, interquartile mean, paired differences
-summary          the result in two or three sentences
 """

@@ -162,7 +162,7 @@ _MEANS = tuple(each.name for each in fields(Costs) if each.name not in _NO_MEANS
 
 def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
     """Mean costs of several episodes, weighted by their inferences; saturations are summed."""
-    means = {name: _mean([getattr(c, name) for c in costs], weights) for name in _MEANS}
+    means = {name: weighted_mean([getattr(c, name) for c in costs], weights) for name in _MEANS}
     saturations = [c.saturations for c in costs if c.saturations is not None]
     unknown = {
         table: tuple(dict.fromkeys(term for c in costs for term in c.energy_unknown[table]))
@@ -180,16 +180,19 @@ def mean(costs: Sequence[Costs], weights: Sequence[int]) -> Costs:
     )
 
 
-def _mean(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
-    """Weighted mean of numbers, of estimates with their bounds, or of mappings of either.
+def weighted_mean(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa: ANN401
+    """Weighted mean of numbers, of estimates with their bounds, or of lists or mappings of those.
 
-    None where one is None; an episode in which an entry is missing had none of it.
+    None where one is None; a value in which an entry is missing had none of it.
     """
     if any(value is None for value in values):
         return None
     if isinstance(values[0], Mapping):
         names = dict.fromkeys(name for value in values for name in value)
-        return {name: _mean([value.get(name, 0.0) for value in values], weights) for name in names}
+        columns = {name: [value.get(name, 0.0) for value in values] for name in names}
+        return {name: weighted_mean(column, weights) for name, column in columns.items()}
+    if isinstance(values[0], list):
+        return [weighted_mean(column, weights) for column in zip(*values, strict=True)]
     if isinstance(values[0], EnergyEstimate):
         bounds = [[each.value, each.low, each.high] for each in values]
         return EnergyEstimate(*np.average(bounds, axis=0, weights=weights).tolist())

@@ -4,7 +4,7 @@ Nothing is computed here that is not in the data; the same tables serve terminal
 
 table       a table and its forms: terminal, Markdown, HTML, CSV
 columns     the tables of a comparison, the short table; one line
-headline    the row that a page is about, and three numbers of it
+summary     the result in sentences; the row that a page is about, and three numbers of it
 plots       figures by matplotlib: returns, energies, learning curves, spikes; as PNG and SVG
 page        pages by jinja2, from `templates` and `assets`; Markdown as a page; HTML in notebooks
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from spikedeploy.comparison.comparison import Performance, ReferenceAgreement
 from spikedeploy.comparison.episode_metrics import drives, metrics_of
-from spikedeploy.comparison.summary import describe_episodes, has_few_episodes
+from spikedeploy.comparison.statistics import FEWEST
 from spikedeploy.policies.costs import Costs, report_fields
 from spikedeploy.reports.table import (
     ABSENT,
@@ -37,6 +37,18 @@ def label(row: Row) -> str:
     if not row["chip"]:
         return str(row["policy"])
     return f"{row['policy']} · {row['chip']}{'' if row.get('limits', True) else ', limits off'}"
+
+
+def has_few_episodes(row: Row) -> bool:
+    """Return True if a row has too few episodes for an interval."""
+    return bool(row.get("episodes", FEWEST) < FEWEST)
+
+
+def describe_episodes(row: Row) -> str:
+    """`100 episodes`, `2 episodes, too few for an interval`."""
+    count = row["episodes"]
+    remark = ", too few for an interval" if has_few_episodes(row) and count > 1 else ""
+    return f"{count} episode{'s' if count > 1 else ''}{remark}"
 
 
 # cells
@@ -291,23 +303,31 @@ def short_columns(rows: Sequence[Row], env: str = "") -> list[Column]:
 
     env: id of the environment, which names of runs need not repeat
     """
-    table = quoted_table(rows)
-    earned, success = _PERFORMANCE["return_mean"], _PERFORMANCE["success_rate"]
+    earned, success = earned_columns(rows)
     if any(map(drives, rows)):  # what counts there is how many finish
         earned = replace(earned, cell=field_cell("return_mean", ".1f"))
-        success = _FINISHED
-    operations = "a control step, of synapses; dense MACs: zeros are not skipped"
-    columns = [
-        earned,
-        _OF_ANN,
-        success,
-        Column("operations", operations, format_operations),
-        Column("energy", f"a control step, by table {table}", energy_cell(table)),
-    ]
+    columns = [earned, _OF_ANN, success, *paid_columns(rows)]
     return [
         Column("policy", "policy · chip", short_label(rows, env)),
         *_drop(columns, rows, ABSENT),
     ]
+
+
+def earned_columns(rows: Sequence[Row]) -> tuple[Column, Column]:
+    """Return the mean return, and successes or finishes."""
+    success = _FINISHED if any(map(drives, rows)) else _PERFORMANCE["success_rate"]
+    return _PERFORMANCE["return_mean"], success
+
+
+def paid_columns(rows: Sequence[Row]) -> tuple[Column, Column]:
+    """Return operations of a control step, and their energy by one table."""
+    table = quoted_table(rows)
+    operations = "a control step, of synapses; dense MACs: zeros are not skipped"
+    energy = f"a control step, by table {table}"
+    return (
+        Column("operations", operations, format_operations),
+        Column("energy", energy, energy_cell(table)),
+    )
 
 
 def short_label(rows: Sequence[Row], env: str) -> Callable[[Row], str]:

@@ -10,7 +10,6 @@ from markupsafe import Markup
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.comparison import Comparison
-from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.outputs import has_text
 from spikedeploy.recordings import record_comparison
@@ -25,15 +24,16 @@ from spikedeploy.reports.columns import (
     tables,
 )
 from spikedeploy.reports.energy_verdict import energy_verdict
-from spikedeploy.reports.headline import (
+from spikedeploy.reports.page import command_line, render
+from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
+from spikedeploy.reports.summary import (
     describe_disturbances,
     headline,
     main_row,
     sentences_of,
+    summary,
     verdict,
 )
-from spikedeploy.reports.page import command_line, render
-from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
 from spikedeploy.reports.table import COMMON_TABLE, Column, Row, Table, escape_markdown
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.chips.quantisation import PLAIN

@@ -12,8 +12,7 @@ d is not 0, where
 
 from collections.abc import Sequence
 
-from spikedeploy.comparison.summary import smallest_baseline
-from spikedeploy.reports.headline import main_row
+from spikedeploy.reports.summary import main_row, smallest_baseline
 from spikedeploy.reports.table import COMMON_TABLE, Row, format_si
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES

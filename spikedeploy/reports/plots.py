@@ -15,8 +15,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from spikedeploy.comparison.summary import has_few_episodes
-from spikedeploy.reports.columns import format_return, label
+from spikedeploy.reports.columns import format_return, has_few_episodes, label
 from spikedeploy.reports.table import Row
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import replacing

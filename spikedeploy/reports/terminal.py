@@ -14,7 +14,7 @@ from spikedeploy.reports.columns import (
     short_columns,
     tables,
 )
-from spikedeploy.reports.headline import describe_disturbances, headline, sentences_of, verdict
+from spikedeploy.reports.summary import describe_disturbances, headline, sentences_of, verdict
 from spikedeploy.reports.table import Row, Table
 
 

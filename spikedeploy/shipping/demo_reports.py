@@ -6,14 +6,13 @@ from typing import Any
 
 from spikedeploy import zoo
 from spikedeploy.comparison.evaluation import compare_policies, line_up
-from spikedeploy.comparison.summary import smallest_baseline
 from spikedeploy.console import say
 from spikedeploy.outputs import check_output, check_output_folder, has_text
 from spikedeploy.policies.registry import DEFAULT_CHIP
 from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import energy_hint
-from spikedeploy.reports.headline import ann_row, headline, main_row, verdict
 from spikedeploy.reports.page import render
+from spikedeploy.reports.summary import ann_row, headline, main_row, smallest_baseline, verdict
 from spikedeploy.reports.table import Row
 from spikedeploy.reports.terminal import print_comparison, print_headline
 from spikedeploy.runtime.files import write_text

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from spikedeploy.campaign import training_seeds as campaign
-from spikedeploy.campaign.training_seeds import SeedTraining, SeedTrainings, train_seeds
+from spikedeploy.campaign.training_seeds import SeedTraining, estimate, train_seeds
 from spikedeploy.jobs import Serial
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.train import train
@@ -61,14 +61,16 @@ def test_a_training_that_fails_says_why_and_the_others_count(tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "train_seed", run)
         patch.setattr(campaign, "Pool", lambda count, attempts: Serial())
-        found = train_seeds([4, 5, 6], 1, tmp_path / "logs", {"recipe": "x"}, lambda each: None)
-    assert found.each[0].line.startswith("seed 4: failed: the shop was closed (")
-    assert found.each[1:] == [SeedTraining(5, "runs/a", 7.5)]
-    assert (found.interrupted, found.estimate.mean) == (True, 7.5)
+        found, interrupted = train_seeds(
+            [4, 5, 6], 1, tmp_path / "logs", {"recipe": "x"}, lambda each: None
+        )
+    assert found[0].line.startswith("seed 4: failed: the shop was closed (")
+    assert found[1:] == [SeedTraining(5, "runs/a", 7.5)]
+    assert (interrupted, estimate(found).mean) == (True, 7.5)
 
 
 def test_what_was_stopped_is_no_part_of_the_mean():
     some = [SeedTraining(0, "a", 3.0), SeedTraining(1, "b", 9.0, stopped="40 %")]
-    assert SeedTrainings(some, True).estimate.mean == 3.0
-    assert SeedTrainings(some[1:], True).estimate is None
+    assert estimate(some).mean == 3.0
+    assert estimate(some[1:]) is None
     assert some[1].line == "seed 1: stopped at 40 %, best validation return 9, b"

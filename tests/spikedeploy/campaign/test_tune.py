@@ -98,7 +98,7 @@ def test_the_page_has_the_command_the_pictures_and_every_trial(trainings, tmp_pa
     assert [path.name for path in files] == ["tune.md", "history.png", "front.png", "tune.html"]
     text = files[0].read_text()
     assert PLAN.command(best(PLAN, study)[0].params) in text
-    assert all(part in text for part in ("history.png", "out \\| over", "gamma 100%"))
+    assert all(part in text for part in ("history.png", "out \\| over"))
     assert sum(line.startswith("| ") and "complete" in line for line in text.splitlines()) == 5
     assert is_study(tmp_path)
 

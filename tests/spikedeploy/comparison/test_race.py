@@ -12,10 +12,10 @@ from spikedeploy.comparison.episodes import (
     pooled_rmse,
 )
 from spikedeploy.comparison.evaluation import compare_policies, line_up, run_policy
-from spikedeploy.comparison.summary import summary
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.registry import Entry, find, open_policy
 from spikedeploy.reports.columns import tables
+from spikedeploy.reports.summary import summary
 from spikedeploy.runtime.errors import ConfigError, EnvError
 from spikedeploy.setup import Setup
 from tests import toy_race_env

@@ -7,9 +7,9 @@ from matplotlib.colors import to_hex
 
 from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.reports import comparison_page as report
-from spikedeploy.reports.headline import headline, main_row
 from spikedeploy.reports.page import asset
 from spikedeploy.reports.plots import energy_figure, returns_figure
+from spikedeploy.reports.summary import headline, main_row
 from tests import toy_stroll_env
 from tests.pages import now, ready
 

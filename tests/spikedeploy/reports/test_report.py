@@ -6,9 +6,9 @@ from html.parser import HTMLParser
 import pytest
 
 from spikedeploy.comparison.evaluation import compare_policies, line_up
-from spikedeploy.comparison.summary import describe_macs, summary
 from spikedeploy.reports import comparison_page as report
 from spikedeploy.reports.columns import format_operations, short_columns, tables
+from spikedeploy.reports.summary import describe_macs, summary
 from spikedeploy.reports.table import Table, price_cell
 from tests import toy_stroll_env
 
