@@ -9,6 +9,5 @@ drift_report          where a chip leaves the float twin, with or without calibr
 design_report         a network against the design rules of chips
 rtl_backend           hardware in simulation in the place of the emulated chip, compared with it
 verification          recorded traces and spikes, of emulators or silicon, against ours
-framework_recordings  what a framework recorded of a network, against the float twin of its file
-other_readings        options with which a file's float twin is what was recorded
+framework_recordings  recordings of frameworks, against the float twin of a file; what explains them
 """

@@ -75,10 +75,31 @@ def replay_trace(path: Path) -> Verification:
     return Verification(path, found.equal, (*lines, *found.remarks), record)
 
 
-def first_in_time(places: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The place of the smallest timestep, the second axis, of places (n, axes)."""
-    first: NDArray[np.intp] = places[np.lexsort((places[:, 0], places[:, 1]))[0]]
-    return first
+@dataclass(frozen=True)
+class Difference:
+    """The first number that is not the recorded one.
+
+    count: number of those that differ.
+    """
+
+    inference: int
+    timestep: int
+    neuron: tuple[int, ...]
+    recorded: float
+    found: float
+    count: int
+
+
+def first_difference(
+    recorded: NDArray[Any], found: NDArray[Any], tolerance: float = 0
+) -> Difference | None:
+    """The first difference in time of two arrays (B, T, *N); None where there is none."""
+    places = np.argwhere(np.abs(found - recorded.astype(np.float64)) > tolerance)
+    if not len(places):
+        return None
+    place = tuple(map(int, places[np.lexsort((places[:, 0], places[:, 1]))[0]]))
+    numbers = float(recorded[place]), float(found[place])
+    return Difference(place[0], place[1], place[2:], *numbers, len(places))
 
 
 # what silicon sent
@@ -183,8 +204,8 @@ def _beside(
         )
     ((layer, (there, here, reading)),) = fits.items()
     samples, timesteps, *_ = spikes[layer].shape
-    neurons = there.shape[2]
-    agree, first = int((there == here).sum()), _describe_first(there, here)
+    first, neurons = first_difference(there, here), there.shape[2]
+    agree = there.size - (first.count if first else 0)
     sent = [int(each.sum()) for each in (there, here, np.minimum(there, here))]
     more = f" in {samples} samples" if samples > 1 else ""
     text = (
@@ -192,6 +213,11 @@ def _beside(
         f"{agree:,} of {there.size:,} numbers agree; {sent[0]:,} spikes recorded, {sent[1]:,} "
         f"emulated, {sent[2]:,} the same"
     )
+    said = ""
+    if first:
+        said = f"sample {first.inference}, " if samples > 1 else ""
+        said += f"timestep {first.timestep}, " if there.shape[1] > 1 else ""
+        said += f"neuron {first.neuron[0]}: recorded {first.recorded:g}, emulated {first.found:g}"
     record = {
         "path": str(path),
         "chip": chip,
@@ -202,14 +228,14 @@ def _beside(
         "numbers": there.size,
         "agree": agree,
         **dict(zip(("recorded", "emulated", "common"), sent, strict=True)),
-        "difference": first,
+        "difference": said,
         "reading": [*reading, *remarks],
         "file": str(path),
-        "equal": agree == there.size,
+        "equal": first is None,
         "error": None,
     }
-    differs = (f"first difference: {first}",) if first else ()
-    return Verification(path, not first, (text, *differs, *reading, *remarks), record)
+    differs = (f"first difference: {said}",) if first else ()
+    return Verification(path, first is None, (text, *differs, *reading, *remarks), record)
 
 
 def _readings(rows: Raster, seen: NDArray[Any]) -> Iterator[tuple[Counts, Counts, tuple[str, ...]]]:
@@ -230,15 +256,3 @@ def _readings(rows: Raster, seen: NDArray[Any]) -> Iterator[tuple[Counts, Counts
         rows.shape[1:] in batched or (single and (1, *rows.shape[1:]) in batched)
     ):
         yield whole.sum(axis=0).reshape(counts.shape), counts, (_COUNTED,)
-
-
-def _describe_first(there: Counts, here: Counts) -> str:
-    """The first difference in time; empty where there is none."""
-    places = np.argwhere(there != here)
-    if not len(places):
-        return ""
-    sample, t, n = first_in_time(places)
-    when = f"timestep {t}, " if there.shape[1] > 1 else ""
-    which = f"sample {sample}, " if len(there) > 1 else ""
-    both = f"recorded {there[sample, t, n]}, emulated {here[sample, t, n]}"
-    return f"{which}{when}neuron {n}: {both}"
