@@ -28,6 +28,7 @@ COMMANDS = {
     "kits": "lab.peers.kits",
     "live-peers": "lab.peers.live_peers",
     "record-traces": "lab.peers.record_traces",
+    "publish": "lab.publish",
     "kill": "lab.kill",
     "walk": "lab.walk",
     "constraints": "lab.constraints",

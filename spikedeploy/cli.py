@@ -36,7 +36,6 @@ COMMANDS = {
         "distill": "training",
         "adapt": "adapting",
         "export": "exporting",
-        "publish": "exporting",
         "sweep": "training",
     },
     "Look": {

@@ -15,6 +15,7 @@ import numpy as np
 
 from lab.experiments import policies
 from lab.experiments.runner import TASKS, Experiment, Record, share, trained
+from lab.publish import describe
 from spikedeploy import zoo
 from spikedeploy.comparison.statistics import stratified_bootstrap
 from spikedeploy.runtime.artifact.artifact import load
@@ -23,7 +24,6 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.files import as_text, replacing, write_text
 from spikedeploy.shipping.export_run import export_run
-from spikedeploy.shipping.publish import describe
 
 CHIPS = ("xylo-a2", "speck2f", "odin", "tinyodin", "truenorth", "spiker", "spinnaker2", "loihi2")
 WANTED = 0.95  # of the teacher

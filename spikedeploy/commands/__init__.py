@@ -10,6 +10,6 @@ open_loop    emulate, drift, check, verify: networks without an environment
 training     train, distill, tune, sweep, runs, visualize
 distillation recipe and settings that `distill` means, and what came of it
 adapting     adapt: a network trained on through a chip
-exporting    export, publish
+exporting    export
 listings     policies, chips, energy, envs, recipes, doctor
 """

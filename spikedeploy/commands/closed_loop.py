@@ -433,7 +433,6 @@ def reproduce(
         str, typer.Option(metavar="module:Class", autocompletion=completion.environments)
     ]
     | None = None,
-    update: bool = False,
     workers: Workers | None = None,
     json: Json = False,
 ) -> None:
@@ -443,7 +442,6 @@ def reproduce(
         shipped policies)
     episodes: only the first seeds (default: all recorded)
     env: environment of your own that a record names, whose code may be run
-    update: write the numbers found into cards, where all returns are equal
     """
     from spikedeploy import zoo
     from spikedeploy.policies.registry import confirm
@@ -455,12 +453,12 @@ def reproduce(
         shipping.check_episodes(evaluation, episodes or 1)
     found = []
     for evaluation in evaluations:
-        found.append(shipping.reproduce(evaluation, episodes, workers, update))
+        found.append(shipping.reproduce(evaluation, episodes, workers))
         if not json:
             typer.echo("\n".join(_lines(found[-1])))
     if json:
         print_json([each.as_json() for each in found])
-    raise typer.Exit(0 if update or all(each.equal for each in found) else 1)
+    raise typer.Exit(0 if all(each.equal for each in found) else 1)
 
 
 def _lines(found: "Reproduction") -> list[str]:

@@ -1,4 +1,4 @@
-"""`export` and `publish`: from a run folder to a file, or a shipped policy with its card."""
+"""`export`: from a run folder or a policy to a file or folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from spikedeploy.commands import completion
-from spikedeploy.commands.options import Checkpoint, ChipName, EnvName, Force, Json, Output, Workers
-from spikedeploy.console import print_json, print_result, say
+from spikedeploy.commands.options import Checkpoint, ChipName, EnvName, Force, Json, Output
+from spikedeploy.console import print_json, say
 from spikedeploy.runtime.choices import Clock, Granularity, Reset, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
@@ -103,36 +103,3 @@ def export(
         for line in written.remarks:
             say(line)
     raise typer.Exit(0 if written.passed else 1)
-
-
-def publish(
-    *,
-    run: Annotated[str, typer.Argument(metavar="RUN", autocompletion=completion.policies)],
-    name: str,
-    episodes: Count = 100,
-    note: str = "",
-    control: bool = False,
-    checkpoint: Checkpoint | None = None,
-    workers: Workers | None = None,
-    output: Output | None = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Export a run into the zoo: the file, its card, its learning curve and its evaluation.
-
-    run: run folder, its name under runs/, or 'last'
-    name: name in the zoo, such as popsan
-    episodes: episodes of the card's evaluation
-    note: note for the card
-    control: comparisons show it as a control
-
-    Output:
-        output: folder of the zoo (default: the package's own)
-    """
-    from spikedeploy import zoo
-    from spikedeploy.shipping.publish import publish_run
-
-    folder = output or zoo.FOLDER
-    files = publish_run(run, name, episodes, folder, workers, note, control, checkpoint, force)
-    names = [str(file) for file in files]
-    print_result(json, {"files": names}, f"wrote {', '.join(names)}")

@@ -278,7 +278,7 @@ def _next_commands(found: RunScores, live: bool) -> Iterator[tuple[str, str]]:
         yield "go on with the training", f"spikedeploy train --resume {run}"
     yield "compare it on fresh seeds", f"spikedeploy compare {shlex.quote(found.env)} {run}"
     yield "replay an episode", f"spikedeploy run {run} -o reports/{shlex.quote(found.name)}"
-    yield "ship it with a card", f"spikedeploy publish {run} --name NAME -o my-zoo"
+    yield "write its file", f"spikedeploy export {run}"
 
 
 def flatten(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

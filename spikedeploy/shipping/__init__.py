@@ -1,4 +1,4 @@
-"""From a run folder to a shipped policy: export, publish, reproduce, and the demo of them.
+"""From a run folder to a shipped policy: export, reproduce, and the demo of them.
 
 An exported file is read back and compared with its policy before anything else uses it.
 
@@ -9,7 +9,6 @@ export_c        a policy as C, of a chip or with 8-bit weights, with what it tak
 verilog         a policy as Verilog for a board; its folder; a core in simulation that drives
 export_file     a network as NIR for another tool, one step in ONNX
 export_program  a policy as the kit of a chip: its integers, what is expected, a script
-publish         a run as a shipped policy, with its card, from templates/
 reproduce       a recorded evaluation played again, number by number
 demo_reports    pages of the shipped policies on two tasks, and an index
 """

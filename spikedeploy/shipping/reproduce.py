@@ -1,7 +1,7 @@
 """A recorded evaluation played again, and every number of it compared with the recorded one.
 
-Evaluations stand on the cards of shipped policies (`shipping.publish`) and in report.json of
-`compare`: rows, the seeds that they were played with, the setup, and the SHA-256 of each policy.
+Evaluations stand on the cards of shipped policies and in report.json of `compare`: rows, the seeds
+that they were played with, the setup, and the SHA-256 of each policy.
 """
 
 import json
@@ -19,11 +19,10 @@ from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.policies.registry import BUILT_IN, Entry, find
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import as_text, read_json, suffix, write_json, write_text
+from spikedeploy.runtime.files import as_text, read_json, suffix
 from spikedeploy.runtime.schema import validate
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.setup import Setup
-from spikedeploy.shipping.publish import evaluation_fields, page
 from spikedeploy.trainers.versions import versions
 
 REPORT = "report.json"
@@ -184,8 +183,8 @@ def _read(path: Path, rows: str) -> dict[str, Any]:
     """A card or report, which has rows."""
     if not path.is_file():
         raise ConfigError(
-            f"{path}: there is no such card or report; `spikedeploy publish` writes a card, and "
-            "`spikedeploy compare ENV -o FOLDER` a report"
+            f"{path}: there is no such card or report; `spikedeploy compare ENV -o FOLDER` writes "
+            "a report"
         )
     found = read_json(path)
     if not found.get(rows):
@@ -296,19 +295,14 @@ def reproduce(
     recorded: RecordedEvaluation,
     episodes: int | None = None,
     processes: int | None = None,
-    update: bool = False,
 ) -> Reproduction:
     """Play an evaluation again and compare it with the record.
 
     episodes: the first of its seeds; by default all
     processes: one for each core by default
-    update: write what was found into the card and its page, unless a return differs: for numbers
-        that a new version counts otherwise
     """
     count = len(recorded.seeds) if episodes is None else episodes
     check_episodes(recorded, count)
-    if update and (recorded.card is None or count < len(recorded.seeds)):
-        raise ConfigError("--update is of cards, and needs all episodes")
     started = monotonic()
     played = compare_policies(recorded.env, recorded.entries, recorded.seeds[:count], processes)
     # as a file would have them: infinite bounds are null
@@ -318,8 +312,6 @@ def reproduce(
     compared = list(_compare(labels, expected, found, recorded.seeds))
     unequal = [pair for pair in compared if pair[0] != EQUAL]
     verdict, first = min(unequal, key=lambda pair: pair[0] != DIFFERS, default=(EQUAL, None))
-    if update:
-        _update(recorded, found, [each for _, each in unequal])
     now = versions()
     return Reproduction(
         name=recorded.name,
@@ -339,20 +331,6 @@ def check_episodes(recorded: RecordedEvaluation, count: int) -> None:
     """Refuse more episodes than were recorded, and none."""
     if not 1 <= count <= (of := len(recorded.seeds)):
         raise ConfigError(f"--episodes {count}: {recorded.name} records {of} episodes")
-
-
-def _update(
-    recorded: RecordedEvaluation, found: Sequence[Row], differences: Sequence[Difference]
-) -> None:
-    """Write the rows into the card and its page, unless a return differs."""
-    for each in differences:
-        if each.field == _RETURNS:
-            raise ConfigError(f"{recorded.name}: {each.describe()}. The card is kept.")
-    if recorded.card is not None:
-        record = read_json(recorded.card)
-        record |= evaluation_fields(record["file"], recorded.seeds, found)
-        write_json(recorded.card, record)
-        write_text(recorded.card.with_suffix(".md"), page(recorded.card.stem, record))
 
 
 def _first_episodes(row: Row, count: int) -> Row:

@@ -87,7 +87,7 @@ def card(name: str) -> dict[str, Any]:
     file = path(name)
     if file is None or not file.with_suffix(".json").is_file():
         return {}
-    return read_json(file.with_suffix(".json"), "install spikedeploy, or publish the policy, again")
+    return read_json(file.with_suffix(".json"), "install spikedeploy again")
 
 
 def mean_return(card: Mapping[str, Any]) -> float | None:

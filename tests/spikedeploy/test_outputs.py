@@ -18,7 +18,6 @@ from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_text
 from spikedeploy.shipping.export_run import _same_training, export_run
-from spikedeploy.shipping.publish import publish_run
 from tests.networks import ORIGIN, popsan
 from tests.paths import ROOT
 
@@ -27,12 +26,11 @@ RASTER = ROOT / "examples" / "raster.npy"
 # of commands that find the names of their files elsewhere
 GUARDS = {
     "export": inspect.getsource(export_run),
-    "publish": inspect.getsource(publish_run),
 }
 # options and arguments that name a file or folder to write, by command
 OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
-    ("emulate", "output"), ("export", "output"), ("publish", "output"), ("visualize", "output"),
+    ("emulate", "output"), ("export", "output"), ("visualize", "output"),
     ("play", "record"),
     ("adapt", "output"), ("check", "output"), ("drift", "output"), ("drift", "tuned"),
 }  # fmt: skip

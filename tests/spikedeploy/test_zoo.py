@@ -6,10 +6,10 @@ import gymnasium
 import numpy as np
 import pytest
 
+from lab.publish import page
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import line_up
 from spikedeploy.policies.registry import find, open_policy
-from spikedeploy.shipping.publish import page
 
 SHIPPED = zoo.policies()
 

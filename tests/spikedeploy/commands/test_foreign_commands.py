@@ -67,13 +67,6 @@ def test_from_an_unregistered_environment_to_a_chip(here, command):
     code, out, err = command("reproduce", "report", "--env", ENV, "--workers", 1)
     assert code == 0, out + err
 
-    code, _, err = command(
-        "publish", "last", "--name", "mine", "--episodes", 1, "--workers", 1, "-o", "zoo"
-    )
-    assert code == 0, err
-    card = (here / "zoo" / ENV / "mine.md").read_text()
-    assert f"`spikedeploy train {ENV} --recipe ppo-snn --seed 0 --set " in card
-
 
 def test_a_float_run_is_its_onnx_file_and_an_unknown_success_has_no_column(here, command):
     words = ["train", "CartPole-v1", "--recipe", "ppo-mlp"]

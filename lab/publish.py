@@ -1,9 +1,13 @@
 """A run becomes a shipped policy: its file, and its card as JSON and as a page in Markdown.
 
+    python -m lab publish RUN --name popsan [--episodes 100] [--control] [--note TEXT]
+    python -m lab publish --update kart-steer/sparse   # numbers that a new version counts otherwise
+
 The card says how the policy was trained, that the file is the trained policy, and what it earns:
-`shipping.reproduce` plays the evaluation on it again.
+`spikedeploy reproduce` plays the evaluation on it again.
 """
 
+import argparse
 import json
 import re
 import shlex
@@ -14,6 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies, make_entries
 from spikedeploy.console import say
@@ -22,12 +28,18 @@ from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.reports.columns import markdown_tables
+from spikedeploy.reports.plots import draw_curves, read_curve
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import replacing, write_json, write_text
+from spikedeploy.runtime.files import as_text, read_json, replacing, write_json, write_text
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.setup import Setup
+from spikedeploy.shipping.export_run import export_run
+from spikedeploy.shipping.reproduce import read_evaluation
+from spikedeploy.trainers.config import differences
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
+from spikedeploy.trainers.sparse.sparse_ppo import find_start
+from spikedeploy.trainers.train import algorithm
 from spikedeploy.trainers.versions import versions
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
@@ -63,9 +75,6 @@ def publish_run(
     checkpoint: checkpoint of the run, such as "ops-480"; by default its best, else its last
     force: whether files of this name that are no published policy are replaced
     """
-    from spikedeploy.reports.plots import draw_curves, read_curve
-    from spikedeploy.shipping.export_run import export_run
-
     if not _NAME.fullmatch(name):
         raise ConfigError(
             f"--name {name!r}: a policy of the zoo has a name of letters, digits, - and _ alone, "
@@ -131,9 +140,6 @@ def describe(source: Path, exported: ExportResult, checkpoint: str | None = None
 
 def _training(run: Path, checkpoint: str | None = None) -> dict[str, Any]:
     """The training of a run up to a checkpoint, with the settings that differ from the recipe."""
-    from spikedeploy.trainers.config import differences
-    from spikedeploy.trainers.train import algorithm
-
     settings = run_record.settings(run)
     steps, unit = run_record.steps(run, checkpoint)
     changes = differences(RunFolder(run).config(algorithm(settings["algorithm"]).Config))
@@ -150,8 +156,6 @@ def _training(run: Path, checkpoint: str | None = None) -> dict[str, Any]:
 
 def _runs_before(source: Path) -> Iterator[dict[str, Any]]:
     """The runs that a run needs, in the order of training: for its walks, or as its start."""
-    from spikedeploy.trainers.sparse.sparse_ppo import find_start
-
     settings, told = run_record.settings(source), set()
     for setting in _NEEDED.get(settings["algorithm"], ()):
         if not settings.get(setting):  # absent from runs of earlier versions
@@ -202,10 +206,8 @@ def _portable(data: Any) -> Any:  # noqa: ANN401
 
 def page(name: str, record: Mapping[str, Any]) -> str:
     """The card as Markdown: training, evaluation, parity, learning curve."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     made = Environment(
-        loader=PackageLoader(__package__),
+        loader=PackageLoader("lab"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -230,3 +232,43 @@ def _training_command(record: Mapping[str, Any]) -> str:
         what = f"{json.loads(changes.pop('env.name'))} --recipe {what}"
     options = [f"--set {shlex.quote(f'{key}={value}')}" for key, value in changes.items()]
     return " ".join([f"spikedeploy train {what} --seed {record['seed']}", *options])
+
+
+def update_card(name: str, processes: int | None = None) -> None:
+    """Play a card's evaluation again and write it anew; ConfigError where a return differs."""
+    recorded = read_evaluation(name)
+    if recorded.card is None:
+        raise ConfigError(f"--update {name}: a report has no card")
+    played = compare_policies(recorded.env, recorded.entries, recorded.seeds, processes)
+    found = json.loads(as_text(played.as_json()))  # as a file would have them
+    for then, now in zip(recorded.rows, found, strict=True):
+        if then["returns"] != now["returns"]:
+            raise ConfigError(f"{name}: {then['policy']} has other returns now. The card is kept.")
+    record = read_json(recorded.card)
+    record |= evaluation_fields(record["file"], recorded.seeds, found)
+    write_json(recorded.card, record)
+    write_text(recorded.card.with_suffix(".md"), page(recorded.card.stem, record))
+
+
+def main() -> None:
+    """Publish a run, or update cards."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("run", nargs="?", help="run folder, its name under runs/, or last")
+    parser.add_argument("--update", nargs="+", metavar="POLICY", default=[])
+    parser.add_argument("--name", default="")
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--note", default="")
+    parser.add_argument("--control", action="store_true")
+    parser.add_argument("--checkpoint")
+    parser.add_argument("--workers", type=int)
+    parser.add_argument("--output", type=Path, default=zoo.FOLDER)
+    parser.add_argument("--force", action="store_true")
+    said = parser.parse_args()
+    for name in said.update:
+        update_card(name, said.workers)
+    if said.run:
+        files = publish_run(
+            said.run, said.name, said.episodes, said.output, said.workers, said.note,
+            said.control, said.checkpoint, said.force,
+        )  # fmt: skip
+        print(f"wrote {', '.join(map(str, files))}")

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from lab.publish import publish_run, update_card
 from spikedeploy import zoo
 from spikedeploy.exporters.check import ParityCheck
 from spikedeploy.policies.registry import find
@@ -13,7 +14,6 @@ from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.shipping import export_run as export_run_module
 from spikedeploy.shipping.export_run import export_run, kind_of
 from spikedeploy.shipping.export_run import record_observations as observe
-from spikedeploy.shipping.publish import publish_run
 from spikedeploy.trainers.config import (
     DeltaSnnConfig,
     MlpConfig,
@@ -242,3 +242,18 @@ def test_a_name_is_one_policy_whatever_kind_it_had_before(tmp_path, capsys):
     names = "small.csv, small.json, small.md, small.nir, small.png"
     assert f"zoo/stroll: {names}" in told[1]
     assert told[1].count("replaced in") == 2
+
+
+def test_an_update_writes_other_numbers_and_keeps_the_card_where_a_return_differs(tmp_path):
+    run = toy_stroll_env.run_folder(tmp_path / "runs", SPIKING)
+    card = publish(run, "small", tmp_path / "zoo")[1]
+    whole = json.loads(card.read_text())
+    edited = json.loads(card.read_text())
+    edited["evaluation"][1]["macs_dense"] += 1
+    card.write_text(json.dumps(edited))
+    update_card(str(card), 1)
+    assert json.loads(card.read_text()) == whole
+    edited["evaluation"][0]["returns"][0] += 1e-6
+    card.write_text(json.dumps(edited))
+    with pytest.raises(ConfigError, match="The card is kept"):
+        update_card(str(card), 1)
