@@ -22,7 +22,7 @@ from spikedeploy.reports.columns import (
 )
 from spikedeploy.reports.columns import format_difference as difference_cell
 from spikedeploy.reports.page import write_beside
-from spikedeploy.reports.table import ABSENT, Column, Table, write_rows
+from spikedeploy.reports.table import ABSENT, Cell, Column, Table, write_rows
 
 Record = dict[str, Any]
 PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
@@ -149,11 +149,15 @@ def _remarks(rows: Sequence[Record]) -> list[str]:
 
 def _axes(rows: Sequence[Record]) -> list[Column]:
     """Return columns for the axes of which there are several values, or for the policy."""
-    axes = [Column(n, "", field_cell(n)) for n in ("env", "policy", "chip", "disturb", "fault")]
+    axes = [Column(n, "", _axis_cell(n)) for n in ("env", "policy", "chip", "disturb", "fault")]
     found = [axis for axis in axes if len({axis.cell(row) for row in rows}) > 1] or axes[1:2]
     if len({row["specimen"] for row in rows} - {None}) > 1:
-        found.append(Column("specimen", "which faulty chip", field_cell("specimen")))
+        found.append(Column("specimen", "which faulty chip", _axis_cell("specimen")))
     return found
+
+
+def _axis_cell(name: str) -> Cell:
+    return lambda row: ABSENT if row[name] in (None, "") else str(row[name])
 
 
 def _measured(rows: Sequence[Record]) -> list[Column]:
@@ -198,8 +202,8 @@ def _fields(job: SweepJob, row: Mapping[str, Any]) -> Record:
         "policy": job.entry.candidate.name,
         "kind": row.get("kind"),
         "chip": job.entry.chip,
-        "disturb": " ".join(setup.disturb) or None,
-        "fault": " ".join(setup.fault) or None,
+        "disturb": " ".join(setup.disturb),
+        "fault": " ".join(setup.fault),
         "specimen": setup.specimen if setup.fault else None,
     }
 
@@ -233,8 +237,9 @@ def _pooled(jobs: Sequence[JobRow]) -> Record:
         "return_ci95": estimate.ci95,
         "success_rate": rate.mean if rate else None,
         "success_ci95": rate.ci95 if rate else None,
-        # so that tables speak of karts, and of worlds that are not ours
-        **{name: first[name] for name in ("gates", "foreign") if name in first},
+        "foreign": first.get("foreign", False),
+        # so that tables speak of karts
+        **({"gates": first["gates"]} if "gates" in first else {}),
         **{name: weighted_mean([row.get(name) for row in rows], steps) for name in names},
         "measured": weighted_mean([row.get("measured", {}) for row in rows], episodes),
     }

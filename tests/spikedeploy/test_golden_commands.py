@@ -70,7 +70,8 @@ COMMANDS = {
     "run-hexapod-gated": ("run", "hexapod/popsan", "--chip", "loihi1:clock=gated", "--json"),
     **{
         f"run-cartpole-{chip}": (
-            "run", f"chips/CartPole-v1/{chip}", "--chip", chip, "--seed", "10003", "--json",
+            "run", f"chips/CartPole-v1/{chip}", "--chip", chip, "--seed", "10003",
+            "--set", "max_episode_steps=50", "--json",
         )
         for chip in ("loihi2", "xylo-a2", "odin", "speck2f", "truenorth", "spiker")
     },

@@ -73,13 +73,6 @@ def results(folder):
     return found
 
 
-def test_processes_find_what_one_finds_bit_for_bit(grid, serial, tmp_path, monkeypatch):
-    monkeypatch.chdir(ROOT)
-    outcome = run_sweep(grid, tmp_path, workers=2)
-    assert outcome.summary == f"{JOBS} of {JOBS} jobs are done, 0 failed"
-    assert results(tmp_path) == results(serial)
-
-
 def test_a_job_earns_what_compare_finds(grid, serial):
     compared = compare_policies(ENV, [Entry(find("random"))], range(10_000, 10_002), processes=1)
     key = next(job.key for job in expand(grid) if job.label == f"{ENV} · random · seed 10000")
