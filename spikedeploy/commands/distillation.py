@@ -15,7 +15,6 @@ RIVAL = "distill-small-mlp"  # recipe
 _ENOUGH = 0.90  # of the teacher; below it a student is said to have learned too little
 STUDENT, FLOAT = "spiking student", "float MLP"
 _UNITS = {STUDENT: "SOPs", FLOAT: "MACs"}
-FRONT = "front.png"  # in the run folder of the student
 
 
 def is_searched(run: Path) -> bool:
@@ -94,29 +93,6 @@ def front(run: Path) -> list[Level]:
 def fronts(run: Path, rival: Path | None) -> dict[str, list[Level]]:
     """Return the levels of a student, and of its rival, by what they are called."""
     return {STUDENT: front(run), **({FLOAT: front(rival)} if rival else {})}
-
-
-def draw_fronts(found: Mapping[str, Sequence[Level]], keep: float, path: Path) -> Path:
-    """Draw operations against the share of the teacher's return; return the PNG.
-
-    keep: share that pruning had to keep
-    """
-    from spikedeploy.reports.plots import BLUE, LEGEND_ABOVE, VERMILION, framed_figure, save
-
-    figure, axes = framed_figure(3.6)
-    for (name, levels), colour in zip(found.items(), (VERMILION, BLUE), strict=False):
-        shares = [100 * each.share for each in levels]
-        axes.plot([e.operations for e in levels], shares, "o-", color=colour, ms=4, label=name)
-        for each in filter(lambda e: e.chosen, levels):
-            axes.plot(each.operations, 100 * each.share, "o", ms=11, mfc="none", mec=colour)
-    axes.axhline(100 * keep, color="0.6", lw=1, ls=":")
-    axes.set_xscale("log")
-    axes.set_xlabel("operations of a control step: SOPs of the student, MACs of the float MLP")
-    axes.set_ylabel("of the teacher, validation [%]")
-    low = min(100 * each.share for levels in found.values() for each in levels)
-    axes.set_ylim(max(low - 3, -5), None)
-    axes.legend(**LEGEND_ABOVE, ncols=2)
-    return save(figure, path)
 
 
 def print_fronts(found: Mapping[str, Sequence[Level]]) -> None:

@@ -306,16 +306,13 @@ def distill(
     if resume is not None and named:
         raise typer.BadParameter(f"a resumed run keeps its network: leave {', '.join(named)} out")
     from spikedeploy.commands.distillation import (
-        FRONT,
         describe,
-        draw_fronts,
         fronts,
         is_searched,
         print_fronts,
         rival_arguments,
         teacher_options,
     )
-    from spikedeploy.trainers.run_folder import RunFolder
     from spikedeploy.training_settings import student
 
     recipe, settings = student(teacher, network, chip, size, encoder, timesteps, budget, dense)
@@ -323,22 +320,19 @@ def distill(
         recipe if resume is None else None, json, env=env, overrides=[*settings, *(set_ or ())],
         budget=budget, seed=seed, resume=resume, runs=runs, verb="distill",
     )  # fmt: skip
-    beside, levels, page = None, {}, f"page: {run / 'report.html'}"
+    beside, levels = None, {}
     if is_searched(run):
         if rival:
             say("beside it: a small float MLP, pruned by the same rule (--no-rival leaves it out)")
             beside = _learn(json=json, again=run, verb="distill", **rival_arguments(run))
-        levels, page = (
-            fronts(run, beside),
-            f"{page}, front: {run / FRONT}",
-        )
-        draw_fronts(levels, RunFolder(run).settings()["keep"], run / FRONT)
+        levels = fronts(run, beside)
     if json:
         front = {name: [vars(each) for each in of] for name, of in levels.items()}
         print_json({"run": str(run), "rival": beside and str(beside), "front": front})
         return
     print_fronts(levels)
     next_ = _comparison(run, [beside] if beside else [], teacher_options(run))
+    page = f"page: {run / 'report.html'}"
     typer.echo(f"trained: {run}\n{describe(run, levels)}{page}\nnext: {next_}")
 
 

@@ -89,7 +89,6 @@ def test_a_student_is_pruned_by_default_and_a_float_rival_beside_it(here, comman
     assert "MACs of teacher kept" in " ".join(out.split())
     line = f"compare {REACH} {student.relative_to(here)} {rival.relative_to(here)} --teacher tests."
     assert line in out
-    assert (student / "front.png").is_file()
     found = json.loads((rival / "config.json").read_text())
     assert found["pool"] == str(student.relative_to(here))
     assert (found["policy"]["kind"], found["search"]) == ("pruned-mlp", True)
