@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from spikedeploy import envs
 from spikedeploy.console import say
@@ -32,21 +31,18 @@ from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Env, Player
 from spikedeploy.realtime.paced_loop import PacedLoop, Pacing, pacing
 from spikedeploy.recordings import (
-    Floats,
-    Inference,
+    Step,
+    StepTracer,
     curve,
     info_curves,
-    last_inference,
-    ledger_of,
     network_json,
     open_with_traces,
-    pack,
     scene_of,
-    stack_inferences,
+    series_json,
+    trace_network,
 )
 from spikedeploy.reports.columns import quoted_among
 from spikedeploy.reports.page import REPLAY_ASSETS, asset
-from spikedeploy.runtime.emulator.ledger import Ledger
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.setup import Setup
 
@@ -108,10 +104,9 @@ class WatchedLoop(PacedLoop):
         period = getattr(env.unwrapped, "CONTROL_DT", None)
         if self._rate is None:
             self._pace(self._paced(1 / period if period else _RATE))
-        player = open_with_traces(candidate, chip, env, "total", setup)
-        self._network = player if isinstance(player, NirController) else None
+        player = open_with_traces(candidate, chip, env, setup)
         table = next(iter(self._tables), "") or quoted_among(
-            priced_by(self._network.chip) if self._network else FLOAT_TABLES
+            priced_by(player.chip) if isinstance(player, NirController) else FLOAT_TABLES
         )
         self._env, self._head = (
             env,
@@ -135,40 +130,20 @@ class WatchedLoop(PacedLoop):
         return played
 
     def _on_step(self, recorder: EpisodeRecorder) -> None:
-        network = self._network
-        if not recorder.steps:
-            self._episode, self._total = self._episode + 1, 0.0
-            self._scene = scene_of(self._env)
-            scene = self._scene.shapes() if self._scene else None
-            now = {"episode": self._episode, "seed": self._seed, "scene": scene}
-            self._view.begin({**self._head, **now})
-        super()._on_step(recorder)
-        if not recorder.steps:
-            self._before = ledger_of(network) if network else None
+        if recorder.steps:
+            super()._on_step(recorder)
+            policy = self._acted - self._woke
+            self._total += recorder.reward
+            self._missed += policy > self._pacing.deadline
+            step, number = self._tracer.take(recorder), recorder.steps - 1
+            skipped = self._metronome.skipped
+            self._view.step(WatchedStep(step, number, self._total, policy, self._missed, skipped))
             return
-        policy = self._acted - self._woke
-        self._total += recorder.reward
-        self._missed += policy > self._pacing.deadline
-        self._view.step(
-            WatchedStep(
-                recorder.steps - 1,
-                recorder.action,
-                recorder.reward,
-                self._total,
-                recorder.numbers,
-                self._scene.pose() if self._scene else None,
-                last_inference(network) if network else None,
-                self._counts(network) if network else None,
-                policy,
-                self._missed,
-                self._metronome.skipped,
-            )
-        )
-
-    def _counts(self, player: NirController) -> Ledger | None:
-        """The ledger of the last inference; None where it cannot be counted."""
-        before, self._before = self._before, ledger_of(player)
-        return self._before.since(before) if before and self._before else None
+        self._episode, self._total, scene = self._episode + 1, 0.0, scene_of(self._env)
+        now = {"episode": self._episode, "seed": self._seed, "scene": scene and scene.shapes}
+        self._view.begin({**self._head, **now})
+        super()._on_step(recorder)
+        self._tracer = StepTracer(self._player, scene)
 
 
 # messages
@@ -180,29 +155,18 @@ _MOST_NEURONS = 4096  # of a layer whose spikes are sent
 
 @dataclass(frozen=True)
 class WatchedStep:
-    """A control step that was taken.
+    """A control step that was taken, and the loop after it.
 
     number: index of the step in its episode, from 0
-    action: (act,) or ()
-    reward: reward of the step
     total: return so far
-    info: numbers of the environment
-    pose: pose of the scene; None without one
-    inference: inference of a policy that spikes
-    ledger: ledger of this inference; None where it cannot be counted
     policy: time of the policy [s]
     missed: deadlines that the policy missed so far, in all episodes
     skipped: periods so far, likewise
     """
 
+    step: Step
     number: int
-    action: NDArray[Any]
-    reward: float
     total: float
-    info: Mapping[str, float]
-    pose: Floats | None
-    inference: Inference | None
-    ledger: Ledger | None
     policy: float
     missed: int
     skipped: int
@@ -220,27 +184,27 @@ def steps_event(batch: Sequence[WatchedStep], table: str, deadline: float) -> by
     table: energy table
     deadline: [s] of the policy
     """
-    last, poses = batch[-1], [step.pose for step in batch if step.pose is not None]
-    use = np.array([100 * step.policy / deadline for step in batch])
+    steps, last = [each.step for each in batch], batch[-1]
+    use = np.array([100 * each.policy / deadline for each in batch])
     curves = [curve("time of the policy, of its deadline", "%", use)]
-    if _OURS & last.info.keys():
-        curves += info_curves({n: np.array([s.info[n] for s in batch]) for n in last.info})
-    inferences = [step.inference for step in batch if step.inference]
-    ledgers, counted = [step.ledger for step in batch if step.ledger], None
-    if ledgers:
-        counted = replace(ledgers[0], counts=np.concatenate([each.counts for each in ledgers]))
-    network = stack_inferences(inferences, counted, table) if inferences else None
+    names = steps[-1].info
+    if _OURS & names.keys():
+        curves += info_curves({n: np.array([step.info[n] for step in steps]) for n in names})
+    poses = [step.pose for step in steps if step.pose is not None]
+    network = trace_network(steps, table)
     data = {
         "first": batch[0].number,
         "steps": len(batch),
         "total": last.total,
         "missed": last.missed,
         "skipped": last.skipped,
-        "poses": pack(poses) if poses else None,
-        "reward": pack([step.reward for step in batch]),
-        "actions": pack([step.action.reshape(-1) for step in batch]),
-        "tracks": curves,
-        "network": network_json(network, _MOST_NEURONS) if network else None,
+        **series_json(
+            np.stack(poses) if poses else None,
+            [step.reward for step in steps],
+            np.stack([step.action for step in steps]),
+            curves,
+            network_json(network, _MOST_NEURONS) if network else None,
+        ),
     }
     return event("steps", data)
 

@@ -1,17 +1,18 @@
-"""Recorded episodes for pages: what robot, network and chip did in each control step.
+"""Episodes for pages: what robot, network and chip did in each control step.
 
-An episode is played once more and becomes JSON that scripts in reports/assets draw: arrays packed
-as text, the shapes and poses of a scene or else a film of the environment's pictures, curves of
-the step infos, spikes, membranes and costs.
+Control steps become JSON that scripts in reports/assets draw: arrays packed as text, the shapes and
+poses of a scene or else a film of the environment's pictures, curves of the step infos, spikes,
+membranes and costs. An episode of a comparison is played once more and recorded whole; `run
+--watch` (spikedeploy.live) sends its steps while they are taken.
 """
 
 import json
 import math
 import zlib
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,16 +24,14 @@ from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Entry, Player, check_fit, open_policy
-from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger, Rows
+from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.metrics.energy import energy, energy_table
 from spikedeploy.setup import DEFAULT, Setup
-from spikedeploy.video import shrink, webp
+from spikedeploy.video import Pace, shrink, webp
 
 Floats = NDArray[np.float64]
 
-_FPS = 25  # poses a second, nearest possible; between them the page interpolates
-_PERIOD = 1 / 30  # [s] of a control step where an environment does not say
 _MOST_BYTES = 2_600_000  # of all episodes: a page of 3 MB opens at once and can be sent
 _MOST_BITS = 4_000_000  # of a raster: larger ones are left out, by name
 _MOST_MEMBRANES = 300_000  # numbers of a layer's membranes, likewise
@@ -106,11 +105,30 @@ def _player(each: "RecordedEpisode", has_network: bool) -> dict[str, Any]:
         "success": played.success,
         "ended": "terminal state" if played.terminated else "time limit",
         "every": each.every,
-        "poses": pack(each.poses) if len(each.poses) else None,
-        "reward": pack(played.reward),
-        "actions": pack(played.action.reshape(played.steps, -1)),
-        "tracks": info_curves(played.info),
-        "network": network_json(each.network) if each.network and has_network else None,
+        **series_json(
+            each.poses,
+            played.reward,
+            played.action,
+            info_curves(played.info),
+            network_json(each.network) if each.network and has_network else None,
+        ),
+    }
+
+
+def series_json(
+    poses: Floats | None,
+    reward: ArrayLike,
+    action: NDArray[Any],
+    curves: Sequence[Mapping[str, Any]],
+    network: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """JSON of what grows with S control steps: rewards (S,), actions (S, …), poses, curves."""
+    return {
+        "poses": None if poses is None else pack(poses),
+        "reward": pack(reward),
+        "actions": pack(action.reshape(len(action), -1)),
+        "tracks": curves,
+        "network": network,
     }
 
 
@@ -143,7 +161,7 @@ class RecordedEpisode:
     kind: kind of the candidate
     played: observations, actions, rewards
     shapes: shapes of the scene, or a film; None where the environment shows nothing
-    poses: (F, N, 7) or (F, 1, 3), see Scene, every `every` control steps
+    poses: (F, N, 7) or (F, 1, 3), see Scene, every `every` control steps; None without a scene
     period: time of a control step [s]; None where it is not known
     network: network of a policy that spikes
     """
@@ -152,7 +170,7 @@ class RecordedEpisode:
     kind: str
     played: Rollout
     shapes: Mapping[str, Any] | None
-    poses: Floats
+    poses: Floats | None
     every: int
     period: float | None
     network: "NetworkTrace | None"
@@ -174,35 +192,31 @@ def record(
     table: energy table
     filmed: take pictures of an environment that no scene is known of
     """
-    player = open_with_traces(candidate, chip, env, "each", setup)
-    network = player if isinstance(player, NirController) else None
+    player = open_with_traces(candidate, chip, env, setup)
     period = getattr(env.unwrapped, "CONTROL_DT", None)
-    every = max(1, round(1 / (_FPS * (period or _PERIOD))))
+    every = Pace.for_period(period).every
     episode, scene = EpisodeRecorder(env, seed), scene_of(env)
     film = _Film(env, every) if filmed and scene is None else None
     player.reset(seed)
-    poses = [scene.pose()] if scene else []
-    inferences = []
+    tracer, steps = StepTracer(player, scene), []
+    first = [scene.pose()] if scene else []
     if film:
         film.add(0)
     while not episode.over:
         episode.step(player.act(episode.observation))
-        if network:
-            inferences.append(last_inference(network))
-        if scene and (episode.steps % every == 0 or episode.over):
-            poses.append(scene.pose())
+        steps.append(tracer.take(episode))
         if film:
             film.add(episode.steps)
-    ledger = ledger_of(network) if network else None
+    due = [step.pose for step in (*steps[every - 1 : -1 : every], steps[-1]) if scene]
     return RecordedEpisode(
         label,
         candidate.kind,
         episode.rollout(),
-        film.shapes() if film else scene.shapes() if scene else None,
-        np.stack(poses) if poses else np.zeros((0, 0, 0)),
+        film.shapes() if film else scene.shapes if scene else None,
+        np.stack([*first, *due]) if scene else None,
         every,
         period,
-        stack_inferences(inferences, ledger, table) if network else None,
+        trace_network(steps, table),
     )
 
 
@@ -229,17 +243,13 @@ def open_with_traces(
     candidate: Candidate,
     chip: str | None,
     env: Any,  # noqa: ANN401
-    rows: Rows,
     setup: Setup = DEFAULT,
 ) -> Player:
-    """The player of a candidate; where it spikes, its network keeps those of the last step.
-
-    rows: rows of its ledger
-    """
+    """The player of a candidate; where it spikes, its network keeps those of the last step."""
     if candidate.format != ".nir":
         return open_policy(candidate, chip, env, setup)
     check_fit(candidate, env)
-    return NirController.open(candidate, chip, env, setup, trace=True, rows=rows)
+    return NirController.open(candidate, chip, env, setup, trace=True)
 
 
 # networks
@@ -273,7 +283,57 @@ class NetworkTrace:
     energy: Floats | None
 
 
-def last_inference(player: NirController) -> Inference:
+@dataclass(frozen=True)
+class Step:
+    """A control step that was taken.
+
+    action: (act,) or ()
+    reward: reward of the step
+    info: numbers of the environment
+    pose: pose of the scene after it; None without one
+    inference: inference of a policy that spikes
+    ledger: ledger of this inference; None where it cannot be counted
+    """
+
+    action: NDArray[Any]
+    reward: float
+    info: Mapping[str, float]
+    pose: Floats | None = None
+    inference: Inference | None = None
+    ledger: Ledger | None = None
+
+
+class StepTracer:
+    """Takes the control steps of a traced player, of one episode.
+
+    scene: scene of the environment; None without one
+    """
+
+    def __init__(self, player: Player, scene: "Scene | None") -> None:
+        self._network = player if isinstance(player, NirController) else None
+        self._scene, self._counted = scene, self._ledger()
+
+    def take(self, recorder: EpisodeRecorder) -> Step:
+        """The latest control step of an episode."""
+        before, self._counted = self._counted, self._ledger()
+        return Step(
+            recorder.action,
+            recorder.reward,
+            recorder.numbers,
+            self._scene.pose() if self._scene else None,
+            _last_inference(self._network) if self._network else None,
+            self._counted.since(before) if before and self._counted else None,
+        )
+
+    def _ledger(self) -> Ledger | None:
+        """Counts so far; None of a graph that no chip can hold, which runs in float, uncounted."""
+        try:
+            return self._network.controller.ledger if self._network else None
+        except RuleError:
+            return None
+
+
+def _last_inference(player: NirController) -> Inference:
     """The last inference of a traced player."""
     controller = player.controller
     spikes = {"input": controller.encoded, **controller.network.spikes}
@@ -285,20 +345,16 @@ def last_inference(player: NirController) -> Inference:
     return Inference(flat, {n: np.array(seen[n].membrane[0, -1], np.float64) for n in names})
 
 
-def ledger_of(player: NirController) -> Ledger | None:
-    """Counts so far; None of a graph that no chip can hold, which runs in float, uncounted."""
-    try:
-        return player.controller.ledger
-    except RuleError:
-        return None
+def trace_network(steps: Sequence[Step], table: str) -> NetworkTrace | None:
+    """The network in consecutive control steps; None of a policy that does not spike.
 
-
-def stack_inferences(each: Sequence[Inference], ledger: Ledger | None, table: str) -> NetworkTrace:
-    """Consecutive inferences as one trace.
-
-    ledger: a row for each; None where they are not counted
+    table: energy table
     """
-    sops, joules = costs_of_each(ledger, table) if ledger else (None, None)
+    each = [step.inference for step in steps if step.inference]
+    if not each:
+        return None
+    ledgers = [step.ledger for step in steps if step.ledger]
+    sops, joules = _costs_of_each(ledgers, table) if ledgers else (None, None)
     return NetworkTrace(
         {name: np.stack([one.spikes[name] for one in each]) for name in each[0].spikes},
         {name: np.stack([one.membranes[name] for one in each]) for name in each[0].membranes},
@@ -307,12 +363,11 @@ def stack_inferences(each: Sequence[Inference], ledger: Ledger | None, table: st
     )
 
 
-def costs_of_each(ledger: Ledger, table: str) -> tuple[Floats, Floats]:
-    """Synaptic operations (S,) and energy (S,) [J] of each inference of a ledger."""
-    prices = energy_table(table)
-    rows = (replace(ledger, counts=row[None], inferences=1) for row in ledger.counts)
-    sops = ledger.counts[:, :, EVENTS.index("sop")].sum(axis=1).astype(np.float64)
-    return sops, np.array([energy(row, prices) for row in rows])
+def _costs_of_each(ledgers: Sequence[Ledger], table: str) -> tuple[Floats, Floats]:
+    """Synaptic operations (S,) and energy (S,) [J] of inferences, each with its ledger."""
+    prices, sop = energy_table(table), EVENTS.index("sop")
+    sops = np.array([each.counts[:, :, sop].sum() for each in ledgers], np.float64)
+    return sops, np.array([energy(replace(each, inferences=1), prices) for each in ledgers])
 
 
 def network_json(trace: NetworkTrace, most_neurons: float = math.inf) -> dict[str, Any]:
@@ -394,101 +449,86 @@ _COARSE = 0.1  # [m] spacing of the heights that are kept of rough ground
 _DECOR = 2  # MuJoCo's visualiser hides geoms of higher groups
 
 
-class Scene(Protocol):
-    """Drawable parts of an environment."""
+@dataclass(frozen=True)
+class Scene:
+    """Drawable parts of an environment.
 
-    def shapes(self) -> dict[str, Any]:
-        """Fixed parts of an episode, as JSON: `kind` and the shapes."""
+    shapes: fixed parts of an episode, as JSON: `kind` and the shapes
+    pose: returns the moving parts: (N, 7) positions and quaternions of bodies or (1, 3) x [px],
+        y [px] and heading [rad] of a kart
+    """
 
-    def pose(self) -> Floats:
-        """Moving parts: (N, 7) positions and quaternions of bodies or (1, 3) x, y, heading."""
+    shapes: Mapping[str, Any]
+    pose: Callable[[], Floats]
 
 
 def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
-    """The scene of an environment; None of one that shows nothing that we know."""
+    """The scene of an episode's environment; None of one that shows nothing that we know."""
     inner = env.unwrapped
     # of environments that wrap other people's
     inner = getattr(inner, "inner", inner).unwrapped
     body = getattr(inner, "robot", inner)  # of our hexapods; gymnasium's hold both themselves
-    if hasattr(body, "model") and hasattr(getattr(body, "data", None), "xquat"):
-        return _Bodies(body.model, body.data)
+    if hasattr(body, "model") and hasattr(data := getattr(body, "data", None), "xquat"):
+        # without the world, which is the first body
+        return Scene(
+            _body_shapes(body.model),
+            lambda: np.concatenate([data.xpos[1:], data.xquat[1:]], axis=1),
+        )
     if hasattr(inner, "track") and hasattr(inner, "pose"):
-        return _Kart(inner)
+        # walls and gates [px]; y points down
+        lines = {name: _round(getattr(inner.track, name), 1) for name in ("walls", "gates")}
+        shapes = {"kind": "track", **lines, "radius": RADIUS}
+        return Scene(shapes, lambda: np.array([inner.pose]))
     return None
 
 
-class _Bodies:
-    """The bodies of a MuJoCo model and the geoms fixed to them."""
-
-    def __init__(self, model: Any, data: Any) -> None:  # noqa: ANN401
-        self._model, self._data = model, data
-
-    def shapes(self) -> dict[str, Any]:
-        """Geoms in the frames of their bodies, and the heights of the ground."""
-        model, colours = self._model, self._colours()
-        kinds = [_KINDS.get(int(kind), "") for kind in model.geom_type]
-        seen = (colours[:, 3] > 0) & (model.geom_group <= _DECOR)
-        shown = [g for g, kind in enumerate(kinds) if kind and seen[g]]
-        return {
-            "kind": "bodies",
-            "geoms": [
-                {
-                    "kind": kinds[g],
-                    "body": int(model.geom_bodyid[g]) - 1,
-                    "size": _round(model.geom_size[g]),
-                    "position": _round(model.geom_pos[g]),
-                    "quaternion": _round(model.geom_quat[g]),
-                    "colour": _round(colours[g, :3]),
-                }
-                for g in shown
-                if kinds[g] not in _GROUND and model.geom_bodyid[g] > 0
-            ],
-            "ground": self._ground(next((g for g in shown if kinds[g] in _GROUND), None)),
-        }
-
-    def pose(self) -> Floats:
-        """(N, 7) of the bodies besides the world."""
-        return np.concatenate([self._data.xpos[1:], self._data.xquat[1:]], axis=1)
-
-    def _colours(self) -> Floats:
-        """(G, 4) of the geoms: their own, or those of their materials."""
-        colours = np.array(self._model.geom_rgba, np.float64)
-        of = np.asarray(self._model.geom_matid)
-        is_default = (of >= 0) & np.isclose(colours, [0.5, 0.5, 0.5, 1]).all(axis=1)
-        colours[is_default] = self._model.mat_rgba[of[is_default]]
-        return colours
-
-    def _ground(self, geom: int | None) -> dict[str, Any] | None:
-        """Height of a plane, or heights (rows along y, columns along x) of rough ground."""
-        if geom is None:
-            return None
-        model = self._model
-        height, field = float(model.geom_pos[geom, 2]), int(model.geom_dataid[geom])
-        if field < 0:
-            return {"height": height}
-        rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
-        x, y, top, _ = (float(each) for each in model.hfield_size[field])
-        start = int(model.hfield_adr[field])
-        heights = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
-        every = max(1, round(_COARSE * (columns - 1) / (2 * x)))
-        kept = pack(height + top * heights[::every, ::every])
-        return {"height": height, "half": [x, y], "heights": kept}
+def _body_shapes(model: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Geoms of a MuJoCo model in the frames of their bodies, and the heights of the ground."""
+    colours = _colours(model)
+    kinds = [_KINDS.get(int(kind), "") for kind in model.geom_type]
+    seen = (colours[:, 3] > 0) & (model.geom_group <= _DECOR)
+    shown = [g for g, kind in enumerate(kinds) if kind and seen[g]]
+    return {
+        "kind": "bodies",
+        "geoms": [
+            {
+                "kind": kinds[g],
+                "body": int(model.geom_bodyid[g]) - 1,
+                "size": _round(model.geom_size[g]),
+                "position": _round(model.geom_pos[g]),
+                "quaternion": _round(model.geom_quat[g]),
+                "colour": _round(colours[g, :3]),
+            }
+            for g in shown
+            if kinds[g] not in _GROUND and model.geom_bodyid[g] > 0
+        ],
+        "ground": _ground(model, next((g for g in shown if kinds[g] in _GROUND), None)),
+    }
 
 
-class _Kart:
-    """A kart on its track."""
+def _colours(model: Any) -> Floats:  # noqa: ANN401
+    """(G, 4) of the geoms: their own, or those of their materials."""
+    colours = np.array(model.geom_rgba, np.float64)
+    of = np.asarray(model.geom_matid)
+    is_default = (of >= 0) & np.isclose(colours, [0.5, 0.5, 0.5, 1]).all(axis=1)
+    colours[is_default] = model.mat_rgba[of[is_default]]
+    return colours
 
-    def __init__(self, env: Any) -> None:  # noqa: ANN401
-        self._env = env
 
-    def shapes(self) -> dict[str, Any]:
-        """Walls and gates [px]; y points down."""
-        lines = {name: _round(getattr(self._env.track, name), 1) for name in ("walls", "gates")}
-        return {"kind": "track", **lines, "radius": RADIUS}
-
-    def pose(self) -> Floats:
-        """(1, 3) x [px], y [px] and heading [rad]."""
-        return np.array([self._env.pose])
+def _ground(model: Any, geom: int | None) -> dict[str, Any] | None:  # noqa: ANN401
+    """Height of a plane, or heights (rows along y, columns along x) of rough ground."""
+    if geom is None:
+        return None
+    height, field = float(model.geom_pos[geom, 2]), int(model.geom_dataid[geom])
+    if field < 0:
+        return {"height": height}
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    x, y, top, _ = (float(each) for each in model.hfield_size[field])
+    start = int(model.hfield_adr[field])
+    heights = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
+    every = max(1, round(_COARSE * (columns - 1) / (2 * x)))
+    kept = pack(height + top * heights[::every, ::every])
+    return {"height": height, "half": [x, y], "heights": kept}
 
 
 class _Film:

@@ -20,6 +20,7 @@ from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.live import _MOST_STEPS, LiveView, WatchedLoop, WatchedStep, steps_event
 from spikedeploy.policies.registry import find, open_policy
+from spikedeploy.recordings import Step
 from spikedeploy.runtime.errors import ConfigError
 from tests.paths import ROOT
 from tests.waiting import PATIENCE, wait_until
@@ -58,7 +59,7 @@ def test_a_watched_run_is_the_run_of_before_bit_for_bit(stroll, policy, chip):
     assert watched.as_json() == plain.as_json()
     env, candidate = envs.make("stroll"), find(f"stroll/{policy}")
     alone = rollout(env, open_policy(candidate, chip, env), seeds[0])
-    actions = np.stack([step.action for step in view.steps[:20]])
+    actions = np.stack([each.step.action for each in view.steps[:20]])
     assert actions.tobytes() == alone.action.tobytes()
     assert [each["total"] for each in view.outcomes] == plain.rows[0].returns
 
@@ -69,7 +70,7 @@ def test_what_is_told_adds_up_to_what_is_reported(stroll):
     (row,) = run_policy("stroll/popsan", None, None, [10_000], loop=loop).as_json()
     assert view.table == "horowitz45-int8"
     assert [step.number for step in view.steps] == list(range(20))
-    sops = [step.ledger.total("sop") for step in view.steps]
+    sops = [each.step.ledger.total("sop") for each in view.steps]
     assert sum(sops) / 20 == pytest.approx(row["sops_per_inference"])
     (begun,) = view.begun
     assert (begun["label"], begun["env"], begun["period"]) == ("popsan · loihi1", "stroll", 0.02)
@@ -85,10 +86,11 @@ def test_the_rate_is_the_environments_and_large_layers_are_left_out_by_name(stro
     view = Kept()
     run_policy("stroll/popsan", None, None, [0], loop=WatchedLoop(view, None, None, None))
     assert (view.begun[-1]["rate"], view.deadline) == (50.0, 1 / 50)
-    step = view.steps[0]
-    wide = {**step.inference.spikes, "input": np.zeros((5, 9000), np.uint8)}
-    inference = replace(step.inference, spikes=wide)
-    data = data_of(steps_event([replace(step, inference=inference, ledger=None)], view.table, 1.0))
+    watched = view.steps[0]
+    wide = {**watched.step.inference.spikes, "input": np.zeros((5, 9000), np.uint8)}
+    inference = replace(watched.step.inference, spikes=wide)
+    uncounted = replace(watched.step, inference=inference, ledger=None)
+    data = data_of(steps_event([replace(watched, step=uncounted)], view.table, 1.0))
     assert data["network"]["left_out"] == ["input: 9,000 neurons"]
     assert data["network"]["sops"] is None
 
@@ -218,7 +220,7 @@ def events(text):
 
 
 def step(number):
-    return WatchedStep(number, np.zeros(2), 1.0, 1.0, {}, None, None, None, 0.0, 0, 0)
+    return WatchedStep(Step(np.zeros(2), 1.0, {}), number, 1.0, 0.0, 0, 0)
 
 
 HEAD = {"table": "horowitz45-int8", "deadline": 0.02}

@@ -126,7 +126,7 @@ def test_an_environment_that_cannot_draw_itself_is_shown_without_a_film(
 
 def episode_of(rasters):
     return RecordedEpisode(
-        "x", "snn", None, None, np.zeros((0, 0, 0)), 1, None, NetworkTrace(rasters, {}, None, None)
+        "x", "snn", None, None, None, 1, None, NetworkTrace(rasters, {}, None, None)
     )
 
 
@@ -147,7 +147,7 @@ def test_the_bodies_of_a_hexapod_are_drawn_where_they_are():
     env = envs.make("hexapod")
     env.reset(seed=3)
     scene = scene_of(env)
-    shapes, pose = scene.shapes(), scene.pose()
+    shapes, pose = scene.shapes, scene.pose()
     assert shapes["kind"] == "bodies"
     assert pose.shape == (19, 7)
     assert {geom["kind"] for geom in shapes["geoms"]} <= {"box", "capsule", "cylinder", "sphere"}
@@ -168,7 +168,7 @@ def test_a_kart_is_drawn_on_its_track_and_a_cart_pole_is_not_drawn():
     env = envs.make("kart-grid")
     env.reset(seed=3)
     scene = scene_of(env)
-    assert scene.shapes()["kind"] == "track"
+    assert scene.shapes["kind"] == "track"
     assert scene.pose().tolist() == [list(env.unwrapped.pose)]
     assert scene_of(envs.make("CartPole-v1")) is None
 
