@@ -29,7 +29,6 @@ COMMANDS = {
     "live-peers": "lab.peers.live_peers",
     "record-traces": "lab.peers.record_traces",
     "publish": "lab.publish",
-    "kill": "lab.kill",
     "walk": "lab.walk",
     "constraints": "lab.constraints",
 }

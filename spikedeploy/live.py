@@ -92,7 +92,8 @@ class WatchedLoop(PacedLoop):
         self._options = deadline, lasting
         super().__init__(self._paced(_RATE if rate is None else rate))
         self._view, self._tables, self._rate = view, tables, rate
-        self._episode, self._missed = 0, 0
+        self._episode, self._missed, self._total = 0, 0, 0.0
+        self._tracer: StepTracer
 
     def _paced(self, rate: float) -> Pacing:
         found = pacing(rate, *self._options)

@@ -207,7 +207,8 @@ def record(
         steps.append(tracer.take(episode))
         if film:
             film.add(episode.steps)
-    due = [step.pose for step in (*steps[every - 1 : -1 : every], steps[-1]) if scene]
+    kept = (*steps[every - 1 : -1 : every], steps[-1])
+    due = [step.pose for step in kept if step.pose is not None]
     return RecordedEpisode(
         label,
         candidate.kind,
@@ -468,7 +469,8 @@ def scene_of(env: Any) -> Scene | None:  # noqa: ANN401
     # of environments that wrap other people's
     inner = getattr(inner, "inner", inner).unwrapped
     body = getattr(inner, "robot", inner)  # of our hexapods; gymnasium's hold both themselves
-    if hasattr(body, "model") and hasattr(data := getattr(body, "data", None), "xquat"):
+    data: Any = getattr(body, "data", None)
+    if hasattr(body, "model") and hasattr(data, "xquat"):
         # without the world, which is the first body
         return Scene(
             _body_shapes(body.model),

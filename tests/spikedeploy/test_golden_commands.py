@@ -27,8 +27,8 @@ import onnx
 import onnx.numpy_helper
 import pytest
 
-from lab.kill import differences as differing_files
 from tests.paths import GOLDEN, ROOT
+from tests.trainers.kills import differences as differing_files
 
 FOLDER = GOLDEN / "commands"
 LIBRARIES = ("numpy", "mujoco", "pymunk", "torch", "onnxruntime")

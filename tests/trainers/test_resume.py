@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-from lab.kill import differences
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.progress import Interrupt
@@ -19,6 +18,7 @@ from spikedeploy.trainers.train import train
 from tests.paths import ROOT
 from tests.toy_pointing_env import PointingEnv
 from tests.toy_quadrant_env import QuadrantEnv
+from tests.trainers.kills import differences
 
 SAC = [
     "steps=300", "warm_up=40", "batch=8", "policy.hidden=[8]", "critic_hidden=[8]", "buffer=70",
@@ -183,7 +183,7 @@ def test_episodes_begin_anew_in_an_environment_that_was_exchanged(sac, tmp_path,
 
 def test_a_training_that_is_really_killed_ends_with_the_same_files():
     done = subprocess.run(
-        [sys.executable, "-m", "lab", "kill", "--kills", "2", "--only", "ppo-mlp", "--json"],
+        [sys.executable, "-m", "tests.trainers.kills", "--kills", "2", "--only", "ppo-mlp"],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

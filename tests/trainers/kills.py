@@ -1,6 +1,6 @@
 """Kill trainings at random moments, resume them, and compare every file with an unbroken run's.
 
-    python -m lab kill [--kills 20] [--seed 0] [--only sac] [--keep FOLDER]
+    python -m tests.trainers.kills [--kills 20] [--seed 0] [--only sac] [--keep FOLDER]
 
 Small trainings of every algorithm are started, killed (SIGKILL), resumed and killed again: one
 half of the kills at a random time, the other at a random one of the file operations, which are
@@ -28,7 +28,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spikedeploy.reports.table import markdown_text
 from spikedeploy.trainers import ALGORITHMS
 from spikedeploy.trainers.progress import Interrupt
 from spikedeploy.trainers.train import train
@@ -60,7 +59,7 @@ CASES = {
         "validation.every=300", "validation.episodes=2", "env.count=2")),
     "distill": Case("smoke-distill", ("teacher=hexapod/sac", "iterations=3", "checkpoint_every=7")),
     "distill-snn": Case("distill-snn", (
-        "env.name=CartPole-v1", "teacher=lab.kill:lean", "updates=60",
+        "env.name=CartPole-v1", "teacher=tests.trainers.kills:lean", "updates=60",
         "iterations=3", "checkpoint_every=7", "validation.every=20", "log_every=5",
         "policy.coding=bernoulli", "validation.episodes=2", "states=200")),
     "sparse": Case("smoke-sparse", ("checkpoint_every=7",)),
@@ -91,26 +90,19 @@ class End(NamedTuple):
 
 
 def main() -> None:
-    """Run the chains and print the table."""
+    """Run the chains and print what came of them as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=20, help="of each training")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", choices=CASES, default=list(CASES))
     parser.add_argument("--keep", type=Path, help="folder in which the run folders stay")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     for name in (*_MODULES, *(target.split(":")[0] for target in ALGORITHMS.values())):
         import_module(name)  # so that every fork has it
-    rows = []
     with tempfile.TemporaryDirectory() as temporary:
-        for name in options.only:
-            rows.append(
-                try_case(name, options.keep or Path(temporary), options.kills, options.seed)
-            )
-            print(rows[-1], file=sys.stderr, flush=True)
-    heads = [name for name in rows[0] if name != "differences"]
-    lines = markdown_text([heads, *([str(row[name]) for name in heads] for row in rows)])
-    print(json.dumps(rows) if options.json else lines)
+        folder = options.keep or Path(temporary)
+        rows = [try_case(name, folder, options.kills, options.seed) for name in options.only]
+    print(json.dumps(rows))
     wrong = [each for row in rows for each in row["differences"]]
     sys.exit("\n".join(wrong) if wrong else 0)
 
@@ -255,3 +247,7 @@ def _contents(run: Path) -> dict[str, object]:
         elif not name.startswith("events.out."):
             found[name] = None if path.name in _TITLED else path.read_bytes()
     return found
+
+
+if __name__ == "__main__":
+    main()
