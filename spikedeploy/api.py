@@ -115,20 +115,6 @@ class LoadedNetwork:
         read = self.artifact.convention.describe()
         return f"<{self.path.name} on {self.chip}: {self._size()}; {read}>"
 
-    def _repr_html_(self) -> str:
-        """A short card, for notebooks."""
-        origin = self.artifact.provenance
-        facts = {
-            "runs on": self.chip,
-            "network": self._size(),
-            "convention": self.artifact.convention.describe(),
-            **({"tuned": tuned} if (tuned := self.artifact.tuned) else {}),
-            **({"made for": origin.env, "recipe": origin.recipe} if origin else {}),
-        }
-        from spikedeploy.reports.page import notebook_card
-
-        return notebook_card(self.path.name, facts)
-
     def _size(self) -> str:
         """`3 × CubaLIF, 4 × Affine`."""
         nodes = [type(node).__name__ for node in self.artifact.graph.nodes.values()]
@@ -159,19 +145,6 @@ class NetworkRun(Emulation):
             save(figure, Path(path))
         return figure
 
-    def _repr_html_(self) -> str:
-        """Counts, energies and the raster, for notebooks."""
-        from spikedeploy.reports.page import notebook_card, notebook_picture
-
-        spikes = sum(int(np.count_nonzero(rows)) for rows in self.spikes.values())
-        counts = {"timesteps": self.timesteps, "spikes": spikes}
-        if self.ledger:
-            counts["synaptic operations"] = self.ledger.total("sop")
-        facts = {name: f"{count:,}" for name, count in counts.items()}
-        facts |= {f"energy, {name}": f"{joules:.3g} J" for name, joules in self.energy.items()}
-        shown = notebook_picture(self.plot()) if self.spikes else ""
-        return notebook_card(f"One inference on {self.chip}", facts) + shown
-
 
 @dataclass(frozen=True, repr=False)
 class ComparedPolicies:
@@ -200,12 +173,6 @@ class ComparedPolicies:
 
     def __repr__(self) -> str:
         return "\n".join([*self._table().lines(120), self.meaning])
-
-    def _repr_html_(self) -> str:
-        """The table and its sentences, for notebooks."""
-        from spikedeploy.reports.page import notebook_table
-
-        return notebook_table(self._table(), self.meaning)
 
     def _table(self) -> "Table":
         from spikedeploy.reports.columns import short_columns

@@ -1,6 +1,5 @@
 """Standard output and error: results on stdout, progress and remarks on stderr."""
 
-import codecs
 import io
 import os
 import shlex
@@ -15,26 +14,13 @@ from spikedeploy.runtime.files import as_text
 
 _PIPE_WIDTH = 120
 PAUSE = 10.0  # seconds between two lines of progress where there is no terminal
-# for terminals that know ASCII alone
-_ASCII = {
-    "–": "-", "−": "-", "·": "-", "…": "...", "→": "->", "≥": ">=", "≤": "<=", "±": "+-", "×": "x",
-    "µ": "u", "✓": "+", "✗": "x", "≠": "!=", "“": '"', "”": '"', "’": "'",
-}  # fmt: skip
 
 
 def prepare_streams() -> None:
-    """Flush each line, also into a pipe, and spell out letters that a terminal lacks."""
-    codecs.register_error("ascii-spelling", _spell_in_ascii)
+    """Flush each line, also into a pipe; what a terminal cannot write is a question mark."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(line_buffering=True, errors="ascii-spelling")
-
-
-def _spell_in_ascii(error: UnicodeError) -> tuple[str, int]:
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    letters = error.object[error.start : error.end]
-    return "".join(_ASCII.get(letter, "?") for letter in letters), error.end
+            stream.reconfigure(line_buffering=True, errors="replace")
 
 
 def discard_output() -> None:

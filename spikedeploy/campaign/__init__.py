@@ -6,5 +6,4 @@ sweep_page      the tables of a sweep: cells pooled over seeds, page, CSV
 search_space    texts of --search as distributions, and the default search of a recipe
 tune            a search with Optuna: trials, each trained and evaluated in a process
 tune_page       its page with pictures
-training_seeds  one recipe with several seeds, side by side
 """

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
     from optuna.trial import FrozenTrial
 
-Objective = Literal["return", "return-at-sops", "return,sops"]
+Objective = Literal["return", "return,sops"]
 FIRST_SEED = 9_000  # of evaluations: validation of trainings begins below, `compare` above
 _MOST_EPISODES = 1_000  # seeds from there up to those of evaluation
 _STARTS = 10  # trials at random before the search begins
@@ -57,8 +57,7 @@ class TuningPlan:
 
     recipe: of trainers.recipes
     env: of a recipe for any environment; "" else
-    objective: what is best: the return; the return among those within a budget; return and SOPs
-    sops: budget [SOPs a control step]; 0 without
+    objective: what is best: the return, or return and SOPs
     search: texts of --search; none takes the default of the recipe
     fixed: texts of --set
     seed: of all trainings
@@ -70,7 +69,6 @@ class TuningPlan:
     recipe: str
     env: str = ""
     objective: Objective = "return"
-    sops: float = 0.0
     search: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
     seed: int = 0
@@ -84,11 +82,6 @@ class TuningPlan:
                 f"{self.recipe} trains in any environment: name one with --env, as CartPole-v1"
                 if entry.any_env
                 else f"{self.recipe} has an environment of its own: leave --env out"
-            )
-        if (self.objective == "return-at-sops") != (self.sops > 0):
-            raise ConfigError(
-                "--objective return-at-sops takes --sops N, the most SOPs of a control step; the "
-                "other objectives take none"
             )
         policy = self.config.policy  # one of events has SOPs without hidden neurons too
         spikes = spiking_layers(policy) or policy.kind.startswith("delta-")
@@ -195,8 +188,6 @@ def _tell(study: "optuna.Study", job: "TrialJob", result: JobResult) -> str:
         earned, sops = end
         trial.set_user_attr(_RETURN, earned)
         trial.set_user_attr(_SOPS, sops)
-        if plan.sops:  # how far above the budget, as a share of it; feasible at 0 and below
-            trial.set_constraint(_SOPS, sops / plan.sops - 1)
         study.tell(job.number, [earned, sops] if plan.has_two else earned)
     done = describe(study.trials[job.number])
     facts = {"return": done["return"], "SOPs": done["sops"], "reason": done["reason"] or None}
@@ -232,15 +223,14 @@ def best(plan: TuningPlan, study: "optuna.Study") -> "Sequence[FrozenTrial]":
         return sorted(study.best_trials, key=lambda trial: (trial.values[1], trial.number))
     try:
         return [study.best_trial]
-    except ValueError:  # none is complete, or within the budget
+    except ValueError:  # none is complete
         return []
 
 
 def open_study(plan: TuningPlan, folder: Path) -> "optuna.Study":
     """Return the study of the plan, made where there is none.
 
-    TPE (Bergstra et al. 2011) samples, which also serves two objectives, and budgets as
-    constraints.
+    TPE (Bergstra et al. 2011) samples, which also serves two objectives.
     """
     library = _import_optuna()
     from optuna.storages import JournalStorage

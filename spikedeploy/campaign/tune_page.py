@@ -48,7 +48,6 @@ def _paragraphs(
     states = ", ".join(f"{count} {state}" for state, count in counts.items())
     objective = {
         "return": "the return",
-        "return-at-sops": f"the return within {plan.sops:g} SOPs a control step",
         "return,sops": "the return, and few SOPs a control step",
     }[plan.objective]
     yield f"# Settings of {plan.recipe}" + (f" in {plan.env}" if plan.env else "")
@@ -66,7 +65,7 @@ def _paragraphs(
         yield f"Trial {trial.number}, return {_cell(found['return'])}{sops}:"
         yield f"    {plan.command(trial.params)}"
     if not chosen:
-        yield "No trial is complete" + (" within the budget." if plan.sops else ".")
+        yield "No trial is complete."
     yield from (f"![{Path(name).stem}]({name})" for name in figures)
 
 
@@ -110,8 +109,6 @@ def front_figure(plan: TuningPlan, study: "optuna.Study") -> "Figure":
         found = [d for d in map(describe, trials) if d["sops"] is not None]
         points = [d["sops"] for d in found], [d["return"] for d in found]
         axes.plot(*points, style, color=color, markersize=4, label=label)
-    if plan.sops:
-        axes.axvline(plan.sops, linestyle="--", linewidth=0.8, label="budget")
     axes.set(xlabel="SOPs a control step", ylabel="return")
     axes.legend(frameon=False)
     return figure

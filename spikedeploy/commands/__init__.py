@@ -4,7 +4,6 @@ The work is done in the other folders. A file imports only typer, rich and the s
 when it is loaded, so that `--help` is quick; everything else is imported inside its function.
 
 options      options that several commands share; a function as a command
-completion   what a shell offers at the tab key
 closed_loop  run, compare, play, demo, serve, reproduce: policies in their environments
 open_loop    emulate, drift, check, verify: networks without an environment
 training     train, distill, tune, sweep, runs, visualize

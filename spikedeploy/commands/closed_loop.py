@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands import completion
 from spikedeploy.commands.options import (
     ChipName,
     EnvArgument,
@@ -271,11 +270,10 @@ def compare(
     env: EnvArgument,
     setup: Setup,
     files: PolicyNames | None = None,
-    chip: Annotated[list[str], typer.Option(autocompletion=completion.chips)] | None = None,
+    chip: Annotated[list[str], typer.Option()] | None = None,
     episodes: Count = 20,
     seed: Seed = seeds.EVALUATION,
-    teacher: Annotated[str, typer.Option(metavar="TEACHER", autocompletion=completion.policies)]
-    | None = None,
+    teacher: Annotated[str, typer.Option(metavar="TEACHER")] | None = None,
     teacher_units: Units | None = None,
     workers: Workers | None = None,
     output: Output | None = None,
@@ -319,8 +317,7 @@ def play(
     *,
     env: EnvArgument,
     track: str | None = None,
-    policy: Annotated[str, typer.Option(metavar="FILE", autocompletion=completion.policies)]
-    | None = None,
+    policy: Annotated[str, typer.Option(metavar="FILE")] | None = None,
     chip: ChipName | None = None,
     record: Path | None = None,
     set_: EnvOptions | None = None,
@@ -424,15 +421,9 @@ def serve(
 
 def reproduce(
     *,
-    names: Annotated[
-        list[str], typer.Argument(metavar="[NAME]…", autocompletion=completion.policies)
-    ]
-    | None = None,
+    names: Annotated[list[str], typer.Argument(metavar="[NAME]…")] | None = None,
     episodes: Count | None = None,
-    env: Annotated[
-        str, typer.Option(metavar="module:Class", autocompletion=completion.environments)
-    ]
-    | None = None,
+    env: Annotated[str, typer.Option(metavar="module:Class")] | None = None,
     workers: Workers | None = None,
     json: Json = False,
 ) -> None:

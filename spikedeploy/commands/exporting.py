@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 import typer
 
-from spikedeploy.commands import completion
 from spikedeploy.commands.options import Checkpoint, ChipName, EnvName, Force, Json, Output
 from spikedeploy.console import print_json, say
 from spikedeploy.runtime.choices import Clock, Granularity, Reset, State
@@ -70,7 +69,7 @@ class FormatOptions:
 
 def export(
     *,
-    run: Annotated[str, typer.Argument(metavar="RUN", autocompletion=completion.policies)],
+    run: Annotated[str, typer.Argument(metavar="RUN")],
     to: str | None = None,
     output: Output | None = None,
     options: FormatOptions,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from spikedeploy.commands import completion
 from spikedeploy.commands.options import Json
 from spikedeploy.console import print_json
 
@@ -30,8 +29,7 @@ def _show(data: object, tables: Iterable["Table"], json: bool, note: str = "") -
 
 def policies(
     *,
-    name: Annotated[str, typer.Argument(metavar="[NAME]", autocompletion=completion.policies)]
-    | None = None,
+    name: Annotated[str, typer.Argument(metavar="[NAME]")] | None = None,
     json: Json = False,
 ) -> None:
     """List the shipped policies, by the names that the commands take.
@@ -94,8 +92,7 @@ def _text(value: object) -> str:
 
 def chips(
     *,
-    name: Annotated[str, typer.Argument(metavar="[NAME]", autocompletion=completion.chips)]
-    | None = None,
+    name: Annotated[str, typer.Argument(metavar="[NAME]")] | None = None,
     json: Json = False,
     markdown: bool = False,
 ) -> None:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 import typer
 
 from spikedeploy import seeds
-from spikedeploy.commands import completion
 from spikedeploy.commands.options import (
     ChipName,
     EnergyTables,
@@ -43,8 +42,7 @@ class FromCamera:
     """A recording of an event camera as input.
 
     Events of a camera:
-        events: recording instead of --input: HDF5, AEDAT 4, Prophesee .raw and .dat, NumPy .npy,
-            NIRData
+        events: recording instead of --input: HDF5, AEDAT 4, Prophesee .raw and .dat, NumPy .npy
         camera: height and width of the camera in pixels (default: from the recording, else what the
             network takes)
         region: part of the camera that the network sees (default: all)
@@ -122,8 +120,8 @@ def emulate(
         float any numbers
 
     Output:
-        output: spikes of each node and `output`, or each Output, .npz, or NIRData, .h5 (default:
-            they are counted alone)
+        output: spikes of each node and `output`, or each Output, .npz, or NIRData, .h5, which
+            --events takes (default: they are counted alone)
         tables: print outputs, counts and energies, or all: NeuroBench's measures too
 
     The emulated chip:
@@ -187,9 +185,8 @@ def _emulate_events(
 
     from spikedeploy.emulation.event_files import open_recording
     from spikedeploy.emulation.event_input import input_shape, read_input, view_of
-    from spikedeploy.emulation.event_output import write_spikes
     from spikedeploy.emulation.event_replay import Replay
-    from spikedeploy.emulation.event_stream import emulate_events
+    from spikedeploy.emulation.event_stream import emulate_events, write_spikes
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports.network_runs import event_page, print_event_run
     from spikedeploy.reports.page import FILES, is_page_of, write_page
@@ -340,7 +337,7 @@ def check(
     *,
     file: PolicyName,
     reading: Reading,
-    chip: Annotated[list[str], typer.Option(autocompletion=completion.chips)] | None = None,
+    chip: Annotated[list[str], typer.Option()] | None = None,
     rules: bool = False,
     board: str | None = None,
     against: Annotated[Path, typer.Option(metavar="RECORDED.npz", exists=True, dir_okay=False)]

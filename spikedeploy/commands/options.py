@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 from typer.models import OptionInfo
 
-from spikedeploy.commands import completion
 from spikedeploy.setup import Switch
 
 # options that several commands share, with their help
@@ -72,23 +71,19 @@ ChipName = Annotated[
     typer.Option(
         help="Chip of a spiking policy; 'float' for its float twin.",
         show_default="what it was trained for, else loihi1",
-        autocompletion=completion.chips,
     ),
 ]
-TrainedFor = Annotated[str, typer.Option("--for", metavar="CHIP", autocompletion=completion.chips)]
+TrainedFor = Annotated[str, typer.Option("--for", metavar="CHIP")]
 EnvArgument = Annotated[
     str,
     typer.Argument(
         metavar="ENV",
         help="Environment; `envs` lists ours; or an id of gymnasium, or module:Class.",
-        autocompletion=completion.environments,
     ),
 ]
-EnvName = Annotated[str, typer.Option(metavar="ENV", autocompletion=completion.environments)]
-PolicyName = Annotated[str, typer.Argument(metavar="FILE", autocompletion=completion.policies)]
-PolicyNames = Annotated[
-    list[str], typer.Argument(metavar="[FILE]…", autocompletion=completion.policies)
-]
+EnvName = Annotated[str, typer.Option(metavar="ENV")]
+PolicyName = Annotated[str, typer.Argument(metavar="FILE")]
+PolicyNames = Annotated[list[str], typer.Argument(metavar="[FILE]…")]
 OwnNetwork = Annotated[str, typer.Option("--network", "--start", metavar="module:Class|FILE.nir")]
 File = Annotated[Path, typer.Option(exists=True, dir_okay=False)]
 NetworkFile = Annotated[Path, typer.Argument(metavar="FILE.nir", exists=True, dir_okay=False)]
@@ -102,9 +97,7 @@ Limits = Annotated[
 ]
 Resume = Annotated[
     str,
-    typer.Option(
-        metavar="RUN|last", help="Resume a run, or the newest.", autocompletion=completion.run_names
-    ),
+    typer.Option(metavar="RUN|last", help="Resume a run, or the newest."),
 ]
 RunsFolder = Annotated[Path, typer.Option(help="Folder in which the run folder is made.")]
 Checkpoint = Annotated[

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from spikedeploy.commands import completion
 from spikedeploy.commands.options import (
     ChipName,
     EnvName,
@@ -29,7 +28,6 @@ from spikedeploy.console import (
     name_program,
     print_json,
     print_result,
-    print_text,
     program_name,
     say,
 )
@@ -40,18 +38,14 @@ _RUNS = Path("runs")
 
 def train(
     *,
-    what: Annotated[str, typer.Argument(metavar="RECIPE|ENV", autocompletion=completion.trainings)]
-    | None = None,
-    recipe: Annotated[str, typer.Option(metavar="NAME", autocompletion=completion.recipes)]
-    | None = None,
+    what: Annotated[str, typer.Argument(metavar="RECIPE|ENV")] | None = None,
+    recipe: Annotated[str, typer.Option(metavar="NAME")] | None = None,
     network: OwnNetwork | None = None,
     chip: TrainedFor | None = None,
     config: File | None = None,
     set_: Settings | None = None,
     budget: Annotated[str, typer.Option(metavar="sops=N|macs=N")] | None = None,
     seed: TrainingSeed | None = None,
-    several: Annotated[str, typer.Option("--seeds", metavar="0-4|0,2,5")] | None = None,
-    jobs: Count | None = None,
     resume: Resume | None = None,
     runs: RunsFolder = _RUNS,
     json: Json = False,
@@ -71,9 +65,6 @@ def train(
     budget: operations of a control step, of sparse recipes: spiking or float (default: the
         recipe's)
     seed: seed of the training (default: 0)
-    several: train with several seeds side by side, each as a command of its own (default: one
-        training)
-    jobs: with --seeds: trainings side by side (default: all cores)
     """
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
@@ -99,24 +90,7 @@ def train(
         "overrides": [*own, *(set_ or ())],
         "budget": budget,
     }
-    if several is not None:
-        if seed is not None or resume is not None:
-            raise typer.BadParameter("--seeds goes without --seed and --resume")
-        _run_seeds(several, jobs, json, runs, recipe or what, **settings)
-    if jobs is not None:
-        raise typer.BadParameter("--jobs goes with --seeds")
-    _run_training(recipe or what, json, seed=seed, resume=resume, runs=runs, **settings)
-
-
-def _run_training(
-    recipe: str | None,
-    json: bool,
-    *,
-    runs: Path,
-    **settings: Any,  # noqa: ANN401
-) -> None:
-    """Train as `_learn` does; print where the run is, and what to do next."""
-    run = _learn(recipe, json, runs=runs, **settings)
+    run = _learn(recipe or what, json, seed=seed, resume=resume, runs=runs, **settings)
     if json:
         print_json({"run": str(run)})
     else:
@@ -182,7 +156,7 @@ def _show_run(run: Path) -> None:
 
 def visualize(
     *,
-    runs: Annotated[list[str], typer.Argument(metavar="RUN…", autocompletion=completion.run_names)],
+    runs: Annotated[list[str], typer.Argument(metavar="RUN…")],
     output: Output = Path("reports/curves.png"),
     force: Force = False,
     json: Json = False,
@@ -207,58 +181,10 @@ def visualize(
     print_result(json, record, f"wrote {picture}")
 
 
-def _run_seeds(
-    text: str,
-    jobs: int | None,
-    json: bool,
-    runs: Path,
-    recipe: str | None,
-    config_file: Path | None,
-    **settings: Any,  # noqa: ANN401
-) -> None:
-    """Train with each seed of a text such as `0-4`; print a line each and a table."""
-    from spikedeploy.campaign.training_seeds import estimate, train_seeds
-    from spikedeploy.comparison.statistics import FEWEST
-    from spikedeploy.jobs import cores
-    from spikedeploy.reports.table import Table
-    from spikedeploy.seeds import training_seeds
-    from spikedeploy.trainers.config import require_known
-    from spikedeploy.trainers.recipes import RECIPES
-
-    require_known(str(recipe), RECIPES, "recipe")  # before processes are started
-    numbers = training_seeds("--seeds", text)
-    count = min(jobs or cores(), len(numbers))
-    file = str(config_file) if config_file else None
-    arguments = {"recipe": recipe, "config_file": file, "runs": str(runs), **settings}
-    say(f"{len(numbers)} trainings, {count} at a time; logs in {runs / 'logs'}")
-    found, stopped = train_seeds(
-        numbers, count, runs / "logs", arguments, lambda each: say(each.line)
-    )
-    mean = estimate(found)
-    if json:
-        print_json({"seeds": [vars(each) for each in found], "best": mean and mean.as_json()})
-    else:
-        rows = [
-            (str(e.seed), "–" if e.best is None else f"{e.best:,.4g}", e.run or "–") for e in found
-        ]
-        Table(("seed", "best validation return", "run"), rows, str(recipe)).print()
-        if mean is not None:
-            few = f"; of fewer than {FEWEST} trainings the interval holds the truth too seldom"
-            print_text(f"mean {mean.text(',.4g')}{few if len(found) < FEWEST else ''}")
-    if stopped:
-        for each in found:
-            if each.run and each.stopped:
-                say(f"go on with `spikedeploy train --resume {shlex.quote(each.run)}`")
-        raise typer.Exit(130)
-    raise typer.Exit(1 if any(each.failed for each in found) else 0)
-
-
 def distill(
     *,
-    teacher: Annotated[str, typer.Argument(metavar="TEACHER", autocompletion=completion.policies)]
-    | None = None,
-    env: Annotated[str, typer.Option(metavar="ENV", autocompletion=completion.environments)]
-    | None = None,
+    teacher: Annotated[str, typer.Argument(metavar="TEACHER")] | None = None,
+    env: Annotated[str, typer.Option(metavar="ENV")] | None = None,
     size: Annotated[str, typer.Option(metavar="N,N…")] | None = None,
     encoder: Literal["population", "rate", "delta"] | None = None,
     timesteps: Count | None = None,
@@ -336,15 +262,14 @@ def distill(
     typer.echo(f"trained: {run}\n{describe(run, levels)}{page}\nnext: {next_}")
 
 
-_Objective = Literal["return", "return-at-sops", "return,sops"]
+_Objective = Literal["return", "return,sops"]
 
 
 def tune(
     *,
-    recipe: Annotated[str, typer.Argument(metavar="RECIPE", autocompletion=completion.recipes)],
+    recipe: Annotated[str, typer.Argument(metavar="RECIPE")],
     env: EnvName | None = None,
     objective: _Objective = "return",
-    sops: Annotated[float, typer.Option(metavar="N", min=1)] | None = None,
     search: Annotated[list[str], typer.Option(metavar="KEY=low..high[:log]|KEY=a|b")] | None = None,
     set_: Settings | None = None,
     trials: Count = 50,
@@ -359,8 +284,7 @@ def tune(
 
     recipe: name of a recipe; `recipes` lists them
     env: environment of a recipe for any: short name, id, or module:Class
-    objective: return; return within --sops; or both return and SOPs, with the Pareto front
-    sops: most SOPs of a control step, of return-at-sops
+    objective: return, or both return and SOPs, with the Pareto front
     search: what a setting may be, may be repeated (default: the recipe's own; docs/tuning.md lists
         them)
     set_: one setting of every training
@@ -378,7 +302,7 @@ def tune(
     from spikedeploy.outputs import check_output_folder
 
     plan = TuningPlan(
-        recipe=recipe, env=env or "", objective=objective, sops=sops or 0.0,
+        recipe=recipe, env=env or "", objective=objective,
         search=tuple(search or ()), fixed=tuple(set_ or ()), seed=seed, episodes=episodes,
         chip=chip or "",
     )  # fmt: skip

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.event_recording import Recording, Size
+from spikedeploy.emulation.event_files import Recording, Size
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.camera_events import Events
 from spikedeploy.runtime.errors import ConfigError, ObservationError
@@ -152,17 +152,14 @@ class EventInput:
 
     @property
     def remarks(self) -> list[str]:
-        """Remarks on how the recording is read, and on channels that no event reaches."""
+        """Remarks on channels that no event reaches."""
         if not self.seen:
-            return [*self.recording.remarks, "no event of the recording reaches the Input"]
+            return ["no event of the recording reaches the Input"]
         return [
-            *self.recording.remarks,
-            *(
-                f"channel {k} of the Input got no event: all {self.seen:,} that reach it have the "
-                "other polarity"
-                for k, count in enumerate(self.channels)
-                if not count
-            ),
+            f"channel {k} of the Input got no event: all {self.seen:,} that reach it have the "
+            "other polarity"
+            for k, count in enumerate(self.channels)
+            if not count
         ]
 
     def rows(self) -> Iterator[NDArray[np.int64]]:

@@ -8,8 +8,10 @@ layer that starts later are counted from its start.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,7 +19,10 @@ from numpy.typing import NDArray
 
 from spikedeploy.emulation.counted_run import SILENT, CountedRun, several_remark
 from spikedeploy.emulation.event_input import EventInput
+from spikedeploy.emulation.raster_emulation import NIR_DATA
+from spikedeploy.outputs import mark
 from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.artifact.nir_data import EventDataWriter
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.compiler.program import Program
@@ -31,6 +36,7 @@ from spikedeploy.runtime.emulator.running_network import (
 )
 from spikedeploy.runtime.errors import ConfigError, RuleError
 from spikedeploy.runtime.families.integrate_and_fire.event_machine import EventMachine
+from spikedeploy.runtime.files import replacing, suffix
 from spikedeploy.runtime.graph.ports import ports, split
 from spikedeploy.runtime.metrics.energy import energy_estimate, energy_table, static_energy
 from spikedeploy.runtime.metrics.energy_tables import STATIC
@@ -259,6 +265,40 @@ class _Tally:
             return {}
         found = split(self._ports, self._sum[None, None])
         return {"output" if len(found) == 1 else n: rows[0, 0] for n, rows in found.items()}
+
+
+@contextmanager
+def write_spikes(path: Path, artifact: Artifact, given: EventInput) -> Iterator[Listener]:
+    """Yield the listener that writes a file, complete at the end of the block.
+
+    It is NIRData: of each layer its spikes as events, with times [s], and the output as rows.
+    """
+    if suffix(path) not in NIR_DATA:
+        raise ConfigError(f"-o {path}: spikes of a recording are events: name a .h5 file.")
+    step = given.step_us
+    with replacing(path) as part, EventDataWriter(part, given.duration / 1e6) as writer:
+        yield _SpikeWriter(writer, artifact)
+        writer.close(mark("emulate"), step and step / 1e6)
+
+
+class _SpikeWriter:
+    """Writes spikes as events of NIRData; a Listener."""
+
+    def __init__(self, writer: EventDataWriter, artifact: Artifact) -> None:
+        self._writer, self._artifact = writer, artifact
+
+    def add_spikes(
+        self, name: str, at: NDArray[Any], neurons: NDArray[Any], counts: NDArray[Any]
+    ) -> None:
+        """Write spikes of layers, each as often as it was sent."""
+        if name not in self._artifact.graph.inputs:
+            size = int(np.prod(node_shape(self._artifact, name)))
+            times = np.abs(counts).astype(np.int64)
+            self._writer.add(name, size, np.repeat(neurons, times), np.repeat(at / 1e6, times))
+
+    def add_output(self, at: float, values: NDArray[np.float64]) -> None:
+        """Write a row of the output."""
+        self._writer.add_output("output", values)
 
 
 def _has_host(program: Program) -> bool:

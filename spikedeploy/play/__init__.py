@@ -2,7 +2,7 @@
 
 display  whether there is a screen, before anything is loaded
 session  drivers, and one of them in an environment, episode after episode
-window   the window: keys in, frames out, numbers beside the picture, screenshots
+window   the window: keys in, frames out, numbers beside the picture
 """
 
 import os

@@ -3,9 +3,7 @@
 The app draws itself as a surface, so that it can be tested, and filmed, without a window.
 """
 
-import itertools
 from collections.abc import Iterator
-from pathlib import Path
 
 import pygame
 
@@ -15,7 +13,6 @@ from spikedeploy.play.display import check_display, check_driver
 from spikedeploy.play.session import Session
 from spikedeploy.runtime.errors import ConfigError
 
-_SCREENSHOTS = Path("screenshots")
 MAX_TICKS = 25.0  # ticks between two frames
 _WIDTH, _HEIGHT = 320, 800  # of the panel
 _NIGHT, _TEXT, _DIM = (15, 18, 25), (226, 232, 243), (134, 146, 168)
@@ -25,8 +22,8 @@ _ROW = 24  # height of a line of the panel
 pygame.font.init()
 
 
-def show(app: "DriveApp", screenshots: Path = _SCREENSHOTS) -> None:
-    """Show the app until its window is closed or ESC is pressed; P takes a screenshot."""
+def show(app: "DriveApp") -> None:
+    """Show the app until its window is closed or ESC is pressed."""
     check_display()
     try:
         pygame.display.init()
@@ -39,7 +36,7 @@ def show(app: "DriveApp", screenshots: Path = _SCREENSHOTS) -> None:
     pygame.display.set_caption(app.title)
     clock, due = pygame.time.Clock(), 1.0
     try:
-        while not _handle_events(app, screenshots):
+        while not _handle_events(app):
             for _ in range(int(due)):
                 app.tick()
             _fit(pygame.display.get_surface() or screen, app.draw())
@@ -50,17 +47,13 @@ def show(app: "DriveApp", screenshots: Path = _SCREENSHOTS) -> None:
         pygame.display.quit()
 
 
-def _handle_events(app: "DriveApp", screenshots: Path) -> bool:
+def _handle_events(app: "DriveApp") -> bool:
     """Pass pending events to the app; return whether one of them closes the window."""
     for event in pygame.event.get():
         key = event.key if event.type == pygame.KEYDOWN else None
         if event.type == pygame.QUIT or key == pygame.K_ESCAPE:
             return True
-        if key == pygame.K_p:
-            screenshots.mkdir(parents=True, exist_ok=True)
-            names = (screenshots / f"{app.name}-{number}.png" for number in itertools.count(1))
-            pygame.image.save(app.draw(), next(name for name in names if not name.exists()))
-        elif event.type in (pygame.KEYDOWN, pygame.KEYUP):
+        if event.type in (pygame.KEYDOWN, pygame.KEYUP):
             app.handle(event)
     return False
 
@@ -140,7 +133,7 @@ class DriveApp:
         for name, value in session.sums.items():
             yield f"   {name.replace('_', ' ')}", f"{value:+.2f}"
         yield "", ""
-        yield from [*driver.legend, ("R", "restart"), ("P", "picture"), ("ESC", "leave")]
+        yield from [*driver.legend, ("R", "restart"), ("ESC", "leave")]
 
 
 def _write(

@@ -6,13 +6,11 @@
 import re
 import shlex
 import sys
-from base64 import b64encode
 from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
 from functools import cache, partial
 from html import unescape
 from importlib.resources import files
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,23 +132,3 @@ def _table(found: re.Match[str]) -> str:
     heads, *rows = ([Markup(cell) for cell in _CELLS.findall(row)] for row in lines)
     parts: Any = _environment().get_template("parts.html.j2").module
     return str(parts.table(Table(heads, rows)))
-
-
-# notebooks
-
-
-def notebook_card(title: str, facts: Mapping[str, str]) -> str:
-    """HTML of a title, and names with values."""
-    return render("notebook", title=title, facts=facts.items(), table=None, text="")
-
-
-def notebook_table(table: Table, text: str) -> str:
-    """HTML of a table, and a text below it."""
-    return render("notebook", title="", facts=(), table=table, text=text)
-
-
-def notebook_picture(figure: "Figure") -> str:
-    """HTML of a figure as a PNG."""
-    memory = BytesIO()
-    figure.savefig(memory, format="png", dpi=80, bbox_inches="tight")
-    return f'<img src="data:image/png;base64,{b64encode(memory.getvalue()).decode()}">'

@@ -64,8 +64,6 @@ def _text(search):
         ({"recipe": "smok"}, "did you mean smoke"),
         ({"recipe": "smoke", "env": "CartPole-v1"}, "leave --env out"),
         ({"recipe": "ppo-snn"}, "--env"),
-        ({"recipe": "smoke-popsan", "objective": "return-at-sops"}, "--sops N"),
-        ({"recipe": "smoke-popsan", "sops": 5.0}, "--sops N"),
         ({"recipe": "smoke", "objective": "return,sops"}, "float policy"),
         ({"recipe": "smoke", "episodes": 1_001}, "--episodes"),
         ({"recipe": "smoke", "search": ("gama=0.9..0.99",)}, "did you mean gamma.*critic_hidden"),

@@ -71,15 +71,6 @@ def test_a_closed_window_is_left():
     assert 3 <= steps.episode.steps <= 3 + window.MAX_TICKS
 
 
-def test_p_keeps_pictures_in_a_folder_that_is_made(tmp_path):
-    app = DriveApp(drive("kart-grid"), "kart-grid")
-    play(app, press("p"), press("p"), screenshots=tmp_path / "screenshots")
-    names = sorted(path.name for path in (tmp_path / "screenshots").iterdir())
-    assert names == ["kart-grid-1.png", "kart-grid-2.png"]
-    kept = pygame.image.load(tmp_path / "screenshots/kart-grid-1.png")
-    assert kept.get_size() == app.draw().get_size()
-
-
 def test_a_window_of_another_size_shows_the_whole_frame():
     screen, small = pygame.Surface((300, 100)), pygame.Surface((200, 200))
     small.fill((255, 255, 255))
