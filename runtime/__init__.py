@@ -23,7 +23,7 @@ faults           chips with broken parts, and with upsets while they run
 emulator/        programs run on observations; the ledger of events
 families/        arithmetics: quantiser, neuron update, kernels
 metrics/         energy, time, memory, messages, NeuroBench
-analysis/        activity, calibration, drift from float, diagnosis
+analysis/        activity, drift from float, diagnosis
 traces/          recorded traces of chips and simulators, compared with the emulation
 """
 

@@ -4,5 +4,4 @@ Everything here compares a program with the network in float.
 
 activity     spikes and membranes of every layer of both, in float units; distances of spike trains
 drift        size and cause of the difference by kind of rounding; dead or saturated layers
-calibration  scales and thresholds that are chosen on recorded inputs
 """

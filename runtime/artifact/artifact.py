@@ -67,7 +67,7 @@ class Artifact:
     convention: how the graph is discretised; inferred or given for files of other tools.
     provenance: where the policy comes from; None in files of other tools.
     sigma_delta: sigma-delta neurons by the name of their node `I`: what NIR cannot express.
-    tuned: what calibration changed since the policy was exported, in words; empty where nothing.
+    tuned: what `adapt` changed since the policy was exported, in words; empty where nothing.
     neurons: the difference equation of each node of neurons, by name.
     """
 
@@ -187,14 +187,6 @@ def load(
     except (ArtifactError, ConventionError) as error:
         raise type(error)(f"{path}: {error}") from error
     return artifact
-
-
-def is_tuned(path: Path) -> bool:
-    """True where a file is a policy that calibration changed (Artifact.tuned)."""
-    try:
-        return bool(load(path).tuned)
-    except (ArtifactError, ConventionError):
-        return False
 
 
 def read_graph_of(path: str | Path) -> nir.NIRGraph:

@@ -244,9 +244,6 @@ def drift(
     steps: Count = 200,
     seed: Seed = seeds.EVALUATION,
     set_: EnvOptions | None = None,
-    calibrate: bool = False,
-    tune: bool = False,
-    tuned: Annotated[Path, typer.Option(metavar="FILE.nir")] | None = None,
     tau: Annotated[float, typer.Option(min=0.01)] = 5.0,
     markdown: bool = False,
     output: ReportFolder | None = None,
@@ -262,20 +259,17 @@ def drift(
     env: environment to observe (default: the one it was made for)
     episodes: episodes to observe
     steps: control steps used of them
-    calibrate: leave headroom for half of the inputs
-    tune: search clipping and thresholds on half of the inputs
     tau: time constant of the spike distance, in timesteps
 
     Output:
-        tuned: write the policy that --tune makes, for every command
         markdown: print the tables as Markdown
     """
     from spikedeploy.emulation.design_report import network_path
     from spikedeploy.emulation.drift_report import choose_inputs, drift_report
-    from spikedeploy.outputs import check_output, check_output_folder
+    from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports.drift_page import drift_markdown, drift_page, print_drift
     from spikedeploy.reports.page import FILES, is_page_of, write_page
-    from spikedeploy.runtime.artifact.artifact import is_tuned, load, save
+    from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
     from spikedeploy.setup import parse_options
     from spikedeploy.shipping.exported_run import runnable, trained_in
@@ -285,8 +279,6 @@ def drift(
     path = network_path(runnable(file))
     if output:
         check_output_folder("-o", output, FILES, (path, input_), force, is_page_of("drift"))
-    if tuned:
-        check_output("--tuned", tuned, (path, input_), force, is_tuned)
     artifact = load(path, **reading.arguments())
     options = parse_options(set_ or ())
     numbers = range(seed, seed + episodes)
@@ -297,14 +289,9 @@ def drift(
         artifact,
         datasheet(chip),
         inputs,
-        calibrate,
-        tune or tuned is not None,
-        chip if tuned else "",
         tau,
         **on_chip.arguments(),
     )
-    if tuned and report.tuned:
-        save(report.tuned, tuned)
     if output:
         write_page("drift", drift_page(report), report.as_json(), output)
     if json:
@@ -314,18 +301,6 @@ def drift(
     else:
         print_drift(report)
         _name_page(output)
-    said = ""
-    if tuned and report.tuned:
-        same = " ".join(["--chip", chip, *on_chip.words()])
-        said = f"wrote {tuned}; with {same} it computes what was measured here"
-    elif tuned:
-        said = (
-            f"{tuned} was not written: nothing that a file can say brings a layer nearer to float"
-        )
-    elif tune and not (json or markdown):
-        said = "--tuned FILE.nir writes a policy that is tuned so, for every command"
-    if said:
-        typer.echo(said, err=json or markdown)
 
 
 def _name_page(folder: Path | None) -> None:

@@ -1,11 +1,10 @@
-"""Drift of a chip from the float twin, with or without calibration before it, and its inputs.
+"""Drift of a chip from the float twin, and its inputs.
 
 Inputs are a raster file, random spikes, or the observations of a policy, encoded.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,13 +17,11 @@ from spikedeploy.emulation.rasters import in_batch, read_rasters
 from spikedeploy.envs.rollout import rollout
 from spikedeploy.policies.registry import FLOAT, Candidate, confirm, find, open_policy
 from spikedeploy.runtime.analysis.activity import TAU
-from spikedeploy.runtime.analysis.calibration import tune_to_float, with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import Drift
 from spikedeploy.runtime.analysis.drift import drift as measured
-from spikedeploy.runtime.analysis.tuned import tuned_artifact
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import Chip
-from spikedeploy.runtime.chips.quantisation import PLAIN, UNTUNED, Quantisation
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
@@ -45,20 +42,6 @@ class DriftInputs:
     raster: Raster
     source: str
     episodes: tuple[int, ...] = ()
-
-    def halves(self) -> "tuple[DriftInputs, DriftInputs]":
-        """Every other inference, for calibration, and the rest; a single one is both.
-
-        Where states are kept, every other episode: an inference means nothing without those before.
-        """
-        pieces = np.split(self.raster, np.cumsum(self.episodes or [1] * len(self.raster))[:-1])
-        if len(pieces) < 2:
-            return self, self
-        halves = []
-        for each in (pieces[::2], pieces[1::2]):
-            part, lengths = np.concatenate(each), tuple(map(len, each)) if self.episodes else ()
-            halves.append(DriftInputs(part, f"{self.source}, {len(part)} of them", lengths))
-        return halves[0], halves[1]
 
 
 def choose_inputs(
@@ -151,17 +134,13 @@ class DriftReport:
     policy: as the user named it
     convention: convention of the file
     inputs: where they come from
-    calibrated: inputs of the calibration, in words; empty without one
     drift: the measurement
-    tuned: the policy as tuning changed it; None where it was not asked for, or nothing helped
     """
 
     policy: str
     convention: Convention
     inputs: str
-    calibrated: str
     drift: Drift
-    tuned: Artifact | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The fields as plain data."""
@@ -169,8 +148,6 @@ class DriftReport:
             "policy": self.policy,
             "convention": self.convention.to_record(),
             "inputs": self.inputs,
-            "calibrated": self.calibrated or None,
-            "tuned": self.tuned.tuned if self.tuned else None,
             **self.drift.as_json(),
         }
 
@@ -180,41 +157,14 @@ def drift_report(
     artifact: Artifact,
     on: Chip,
     inputs: DriftInputs,
-    headroom: bool = False,
-    tune: bool = False,
-    for_file: str = "",
     tau: float = TAU,
     limits: bool = True,
     quantisation: Quantisation = PLAIN,
 ) -> DriftReport:
-    """Calibrate on half of the inputs and measure on the rest; without calibration on all.
+    """Measure the drift on the inputs.
 
-    headroom: choose scales at which nothing overflows on the calibration inputs
-    tune: choose clipping and thresholds that bring each layer nearest to the float twin
-    for_file: the chip with its options, as the tuned policy is to name it: tune by nothing but what
-        a policy of its own can say, and make that; empty tunes without
     tau: [timesteps] time constant of the van Rossum distance
     limits: refuse what breaks a design rule of the chip
     """
-    calibrated, tuned = "", None
-    if headroom and for_file:
-        raise ConfigError(
-            "--calibrate chooses scales below the largest, which no file can say. Leave it out, or "
-            "--tuned."
-        )
-    if headroom or tune:
-        first, inputs = inputs.halves()
-        calibrated = first.source
-        if tune:
-            write = partial(tuned_artifact, artifact, on, for_file) if for_file else None
-            quantisation = tune_to_float(
-                artifact, on, first.raster, quantisation, tau, first.episodes, write
-            )
-            if write and any(each != UNTUNED for each in quantisation.tuned.values()):
-                tuned = write(quantisation)
-        if headroom:
-            quantisation = with_calibrated_headroom(
-                artifact, on, first.raster, quantisation, first.episodes
-            )
     found = measured(artifact, on, inputs.raster, quantisation, tau, limits, inputs.episodes)
-    return DriftReport(policy, artifact.convention, inputs.source, calibrated, found, tuned)
+    return DriftReport(policy, artifact.convention, inputs.source, found)

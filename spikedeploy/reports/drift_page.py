@@ -139,14 +139,12 @@ def _summary(report: DriftReport) -> list[tuple[str, str]]:
     return [
         ("convention", report.convention.describe()),
         ("quantisation", drift.quantisation),
-        *([("calibrated on", report.calibrated)] if report.calibrated else []),
         ("inputs", report.inputs),
         ("inferences that differ", f"{drift.diverged} of {drift.inferences}"),
         (
             "first difference",
             drift.first.describe() if drift.first else "nowhere: every spike is equal",
         ),
-        *(("remark", remark) for remark in drift.remarks),
         *([("remark", SILENT)] if is_silent else []),
         (_OUTPUTS[drift.output.kind], _error(drift.output)),
         *_fullest_register(drift),

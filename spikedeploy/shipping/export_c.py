@@ -19,7 +19,7 @@ from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.onnx import OnnxController
 from spikedeploy.runtime.chips.chip import chip as chip_named
 from spikedeploy.runtime.chips.quantisation import PLAIN, Granularity
-from spikedeploy.runtime.compiler.compile import compile_program, own_clock
+from spikedeploy.runtime.compiler.compile import clock_on, compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
@@ -79,7 +79,10 @@ def export_c(
     # the episode is the chip's, which may advance its layers by another clock than software
     played = program
     if clock not in on.clocks:
-        played = compile_program(source.artifact, on, source.quantisation)
+        own = on.clock or clock_on(source.artifact.convention, on)
+        played = replace(program, chip=on, clock=own)
+        if "pipelined" in (clock, own):  # whose layers start at other timesteps
+            played = compile_program(source.artifact, on, source.quantisation)
     seen, recorded = source.episode(played, observations, env)
     origin = f"{source.origin}, on {source.chip}{source.scales}"
     files = policy_in_c(program, codec, seen, origin, prefix)

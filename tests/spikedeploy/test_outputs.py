@@ -32,7 +32,7 @@ OUTPUTS = {
     ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
     ("emulate", "output"), ("export", "output"), ("visualize", "output"),
     ("play", "record"),
-    ("adapt", "output"), ("check", "output"), ("drift", "output"), ("drift", "tuned"),
+    ("adapt", "output"), ("check", "output"), ("drift", "output"),
 }  # fmt: skip
 # paths that are read, edited by design, or in which a new folder is made, or a build
 OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
@@ -141,7 +141,7 @@ def test_files_of_a_run_are_never_overwritten(inside, run):
 def test_an_export_takes_no_tuned_file_for_its_own(tmp_path):
     exported, tuned = tmp_path / "policy.nir", tmp_path / "tuned.nir"
     save(popsan(), exported)
-    save(replace(popsan(), tuned="by drift --tune"), tuned)
+    save(replace(popsan(), tuned="adapted to loihi1"), tuned)
     assert _same_training(ORIGIN, exported)
     assert not _same_training(ORIGIN, tuned)
 

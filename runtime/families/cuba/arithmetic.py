@@ -56,7 +56,7 @@ class CubaFixedPoint(CubaRegisters, ArithmeticDefaults):
         "numba": "spikedeploy.runtime.families.cuba.numba_steps:CubaPipeline",
     }
     spikes_max: ClassVar[int] = 1
-    choices: ClassVar[tuple[str, ...]] = ("granularity", "rounding", "tuned")
+    choices: ClassVar[tuple[str, ...]] = ("granularity", "rounding")
     spikes_and_floor: ClassVar[tuple[str, str] | None] = ("above", "none")
     ablation_steps: ClassVar[tuple[str, ...]] = _ROUNDING_STEPS
 

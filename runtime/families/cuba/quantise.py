@@ -171,18 +171,16 @@ def _peak_response(current: Floats, membrane: Floats) -> Floats:
 Scale: TypeAlias = float | Floats
 
 
-def _mantissas_per_unit(
-    layer: Layer, registers: CubaRegisters, granularity: Granularity, clip_ratio: float
-) -> Scale:
+def _mantissas_per_unit(layer: Layer, registers: CubaRegisters, granularity: Granularity) -> Scale:
     """Return the most mantissas per unit that weights, threshold and bias allow."""
     widest_bias = (
         registers.bias_mantissa_max << registers.bias_exponent_max >> registers.mantissa_shift
     )
-    widest, (_, _, heaviest) = registers.weight_max * max(clip_ratio, 1.0), weight_sums(layer)
+    _, _, heaviest = weight_sums(layer)
     scale = np.full(layer.size, np.inf)
     for most, numbers in (
-        (widest, heaviest),
-        (widest, layer.bias),
+        (registers.weight_max, heaviest),
+        (registers.weight_max, layer.bias),
         (registers.threshold_max, layer.threshold if layer.spiking else 0 * layer.bias),
         (widest_bias, layer.voltage_bias),
     ):
@@ -191,9 +189,9 @@ def _mantissas_per_unit(
         scale = np.minimum(scale, found)
     if granularity == "layer":
         least = float(scale.min())
-        return (least if np.isfinite(least) else 1.0) * min(clip_ratio, 1.0)
+        return least if np.isfinite(least) else 1.0
     # a neuron of zeros has no largest number
-    scale = np.where(np.isfinite(scale), scale, 1.0) * min(clip_ratio, 1.0)
+    scale = np.where(np.isfinite(scale), scale, 1.0)
     for window in (s.window for s in layer.synapses if s.window is not None):
         # neurons that share a kernel share its scale
         channels = scale.reshape(window.target[0], -1)
@@ -209,18 +207,16 @@ def quantise(layer: Layer, registers: CubaRegisters, quantisation: Quantisation 
             f"{magnitude(layer.voltage_bias):g}; the chip's neurons have none. Set v_leak to 0, "
             "or take another model of the chip."
         )
-    tuning, rounding = quantisation.tuning_for(layer.name), quantisation.rounding or "nearest"
-    tuned = replace(layer, threshold=layer.threshold * tuning.threshold)
-    scale = _mantissas_per_unit(tuned, registers, quantisation.granularity, tuning.clip_ratio)
+    rounding = quantisation.rounding or "nearest"
+    scale = _mantissas_per_unit(layer, registers, quantisation.granularity)
     exponent = 0
     if not layer.spiking:
-        untuned = scale / min(tuning.clip_ratio, 1.0)
-        exponent, part = exponent_and_share(layer, registers, untuned)
+        exponent, part = exponent_and_share(layer, registers, scale)
         scale = scale * part
     one = 1 << (registers.mantissa_shift + exponent)
 
     def weights(values: Floats, scale: Scale) -> Integers:
-        """Multiples of the chip's weight step; what a clip ratio above 1 sends further is cut."""
+        """Multiples of the chip's weight step."""
         steps = round_values(values * scale / registers.weight_step, rounding)
         most = registers.weight_max
         return np.clip(steps * registers.weight_step, -most, most) << exponent
@@ -233,7 +229,7 @@ def quantise(layer: Layer, registers: CubaRegisters, quantisation: Quantisation 
         ),
         bias=weights(layer.bias, scale),
         voltage_bias=_voltage_bias(layer.voltage_bias * scale * one, registers, rounding),
-        threshold=_thresholds(tuned, scale, registers, rounding, one),
+        threshold=_thresholds(layer, scale, registers, rounding, one),
         current_decay=_decay_factor(layer, "current", registers, rounding),
         membrane_decay=_decay_factor(layer, "membrane", registers, rounding),
         scale=layer.scale / (scale * one),

@@ -1,10 +1,9 @@
-"""Drift, diagnosis, calibration and measures of networks with readout layers."""
+"""Drift, diagnosis and measures of networks with readout layers."""
 
 import numpy as np
 import pytest
 
 from spikedeploy.emulation.raster_emulation import measure_inference
-from spikedeploy.runtime.analysis.calibration import with_calibrated_headroom
 from spikedeploy.runtime.analysis.drift import drift
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program
@@ -41,16 +40,6 @@ def test_drift_tells_what_recorded_inputs_fill_and_what_overflows():
     assert few.saturations == 0
     assert many.saturations > 0
     assert many.filled >= 0.99
-
-
-def test_calibration_leaves_room_for_recorded_inputs():
-    raster = np.zeros((1, 400, 12), np.uint8)
-    weight = compile_program(network("only"), chip("loihi1")).layers[0].synapses[0].weight
-    raster[:, :, np.abs(weight.astype(int)).max(axis=1).argmax()] = 1
-    chosen = with_calibrated_headroom(network("only"), chip("loihi1"), raster)
-    assert chosen.tuning_for("fast").clip_ratio < 1
-    (found,) = drift(network("only"), chip("loihi1"), raster, chosen).readouts
-    assert found.saturations == 0
 
 
 @pytest.mark.parametrize("name", [None, "loihi1", "loihi1:membrane_output=none"])

@@ -151,6 +151,15 @@ def signed(weight):
     return feed(nir.Linear(np.array(weight, float)), integrate(2), width=2, act=2)
 
 
+def opposing(sign):
+    """A neuron that excites one layer, and another with weights of this sign."""
+    nodes = ends(2, 2) | {name: integrate(2) for name in ("a", "b", "c", "z")}
+    nodes |= {name: nir.Linear(np.eye(2)) for name in ("wa", "wb", "bz", "cz")}
+    nodes["wc"] = nir.Linear(sign * np.eye(2))
+    edges = "input->wa, wa->a, a->wb, wb->b, a->wc, wc->c, b->bz, bz->z, c->cz, cz->z, z->output"
+    return Artifact(graph(edges, **nodes), None, CONVENTION)
+
+
 def values(number):
     weight = np.arange(1.0, number + 1)[None]
     return feed(nir.Linear(weight), integrate(1), width=number, act=1)
@@ -218,6 +227,7 @@ BOUNDARIES = [
     ("shape", "speck2f", convolved(2, 2, features=1024), convolved(2, 2, features=1025)),
     ("destinations", "speck2f", heard_by(2), heard_by(3)),
     ("sign", "odin", signed([[1, -1], [2, 0]]), signed([[1, -1], [2, 1]])),
+    ("sign", "odin", opposing(1.0), opposing(-1.0)),
     ("recurrence", "loihi1", looped(True), None),
     ("recurrence", limited(recurrence=False), looped(False), looped(True)),
     ("delay", "loihi1", delayed(63), delayed(64)),

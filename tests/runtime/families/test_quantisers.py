@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation, Tuning
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.chips.registers import Register
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.errors import ConfigError, RuleError
@@ -39,10 +39,6 @@ def quantised(layer, name, choice=PLAIN, limits=True, **options):
     return found
 
 
-def tuned(**factors):
-    return Quantisation(tuned={"lif1": Tuning(**factors)})
-
-
 # chip, choice, fields of the float layer, what becomes of them
 BY_HAND = {
     "the largest weight fills its bits, and the threshold follows": (
@@ -63,10 +59,6 @@ BY_HAND = {
         "loihi1", PLAIN, CUBA | {"weight": [[0.6, 0.2]], "threshold": 1000.0},
         {"weight": [[79, 26]], "threshold": [131071 * 64] * 2},
     ),
-    "however much is clipped": (
-        "loihi1", tuned(clip_ratio=2.0), CUBA | {"weight": [[0.6, 0.2]], "threshold": 1000.0},
-        {"weight": [[79, 26]], "threshold": [131071 * 64] * 2},
-    ),
     # 0.5 * 255 * 64 = 8160 = 4080 * 2
     "a voltage bias is a mantissa and an exponent": (
         "loihi1", PLAIN, CUBA | {"weight": [[1.0]], "voltage_bias": 0.5}, {"voltage_bias": [8160]},
@@ -81,16 +73,6 @@ BY_HAND = {
         "loihi1", CHANNEL, CUBA | {"weight": [[0.3, -0.6], [0.1, 0.02]], "voltage_bias": 0.01},
         {"weight": [[255, -255], [85, 8]], "threshold": [425 * 64, 212 * 64],
          "voltage_bias": [544, 272], "scale": [1 / 850 / 64, 1 / 425 / 64]},
-    ),
-    "a clip ratio above one clips the largest weights": (
-        # 2 * 255 / 0.6 = 850 mantissas per unit
-        "loihi1", tuned(clip_ratio=2.0), CUBA | {"weight": [[0.3, -0.6, 0.1]]},
-        {"weight": [[255, -255, 85]], "threshold": [425 * 64] * 3},
-    ),
-    "a tuned threshold is multiplied before it is rounded": (
-        # 0.45 * 425 = 191.25
-        "loihi1", tuned(threshold=0.9), CUBA | {"weight": [[0.3, -0.6]]},
-        {"weight": [[128, -255]], "threshold": [191 * 64] * 2},
     ),
     "speck2f scales weights, bias and threshold together": (
         # 127 / 0.5 = 254; -63.5 to the even one
@@ -354,7 +336,6 @@ def test_what_the_chip_cannot_hold_is_refused_by_its_rule(build, rule):
     [
         (lambda: Quantisation(granularity="neuron"), "granularity 'neuron'"),
         (lambda: Quantisation(rounding="up"), "rounding 'up'"),
-        *((lambda v=v: Tuning(clip_ratio=v), "clip_ratio") for v in (0.0, -1.0, np.inf, np.nan)),
     ],
 )
 def test_a_choice_that_is_none_is_refused_by_name(make, word):

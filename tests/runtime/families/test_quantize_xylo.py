@@ -9,7 +9,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import NEVER
-from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation, Tuning
+from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace
@@ -267,7 +267,6 @@ def test_spikes_above_are_taken_with_a_remark():
         ("xylo-a2", shifted(16), "weight_shift is 16; choose 0 to 15"),
         ("xylo-a2", shifted(-1), "weight_shift is -1; choose 0 to 15"),
         ("loihi1", shifted(1), "weight_shift is 1; on loihi1 only"),
-        ("xylo-a2", Quantisation(tuned={"n1": Tuning(2.0)}), "tuned is .*; on xylo-a2 only"),
         ("spinnaker2", CHANNEL, "granularity is 'channel'; on spinnaker2 only rounding"),
     ],
 )

@@ -61,7 +61,7 @@ def test_a_file_runs_and_says_where_it_is_read(chip, command, event):
 
 
 def test_drift_compares_what_spikes_and_the_actions(command, event):
-    for options in ((), ("--calibrate",), ("--tune",), ("--quantise", "channel")):
+    for options in ((), ("--quantise", "channel")):
         code, out, _ = command("drift", event, "--steps", 12, *options, "--json")
         found = json.loads(out)
         assert code == 0
