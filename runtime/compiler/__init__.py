@@ -6,6 +6,7 @@ lowering  populations and the projections between them, counted for the rules
 synapses  the weights of projections, as kernels with their windows or as matrices
 mapping   populations on cores, and the utilisation of the cores
 rules     the design rules, and what they found in a network
+outliers  layers that one large number makes coarse, and what helps
 compile   the compiler itself, and the check of every design rule without an error
 program   the result: a network as one chip runs it
 """

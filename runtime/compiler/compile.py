@@ -13,6 +13,7 @@ from spikedeploy.runtime.chips.layer import MAX_BYTES, Layer
 from spikedeploy.runtime.chips.quantisation import PLAIN, Quantisation
 from spikedeploy.runtime.compiler.lowering import Lowering, lower
 from spikedeploy.runtime.compiler.mapping import CoreMapping
+from spikedeploy.runtime.compiler.outliers import outlier_remarks
 from spikedeploy.runtime.compiler.program import Output, Program, Readout
 from spikedeploy.runtime.compiler.rules import (
     ARITHMETIC,
@@ -77,11 +78,12 @@ def _compile(
     chip.arithmetic.check_quantisation(quantisation, chip.name)
     program = float_program(artifact, chip, graph, clock)
     rows = _rows(artifact, program)
-    layers = chip.arithmetic.quantise(program, quantisation, rows, limits=limits)
+    layers = tuple(chip.arithmetic.quantise(program, quantisation, rows, limits=limits))
     if placed:  # last: the compiler itself is more precise
         refuse(placed, ARITHMETIC)
-    remarks = (*program.remarks, *chip.arithmetic.ranges(layers, rows))
-    return replace(program, layers=tuple(layers), remarks=remarks)
+    outliers = tuple(outlier_remarks(chip.arithmetic, program.layers, layers, quantisation))
+    remarks = (*program.remarks, *chip.arithmetic.ranges(layers, rows), *outliers)
+    return replace(program, layers=layers, remarks=remarks, outliers=outliers)
 
 
 def _prepared(
@@ -373,6 +375,7 @@ def check(artifact: Artifact, on: Chip, lowered: Lowering | None = None) -> Desi
     arithmetic, layers = program.chip.arithmetic, program.layers
     ranges = arithmetic.ranges(layers, _rows(artifact, program))
     transport = arithmetic.transport_remarks(layers, program.input)
-    note = "; ".join(program.remarks if program.reads_membranes else (*transport, *ranges))
+    own = (*transport, *ranges, *program.outliers)
+    note = "; ".join(program.remarks if program.reads_membranes else own)
     ruling = RuleResult(COMPILE, None, "pass", "a program", note=note)
     return DesignCheck(on, (*rulings, ruling), placed.mapping, program)

@@ -99,6 +99,8 @@ class Program:
         membranes; their delays are lags of the graph. `host_outputs` say what becomes of them.
     damage: what faults of the chip have hit; the layers have them (runtime.faults).
     upsets: what goes wrong while it runs; None where nothing does.
+    outliers: those of the remarks that are on layers which one large number makes coarse
+        (runtime.compiler.outliers).
     clock: how the layers advance.
     """
 
@@ -117,6 +119,7 @@ class Program:
     damage: tuple[Damage, ...] = ()
     upsets: Upsets | None = None
     clock: Clock = "gated"
+    outliers: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         presynaptic = {self.input}

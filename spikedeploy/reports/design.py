@@ -50,7 +50,7 @@ def print_report(report: DesignReport, everything: bool = True) -> None:
 
 
 def _print_remarks(report: DesignReport) -> None:
-    """Print what is said of timesteps, with the chips where so."""
+    """Print what is said of coarse layers and of timesteps, with the chips where so."""
     chips: dict[str, list[str]] = {}
     for each in report.checks:
         for remark in _remarks(each.program) if each.program else ():
@@ -61,7 +61,7 @@ def _print_remarks(report: DesignReport) -> None:
 
 def _remarks(program: Program) -> list[str]:
     """The remarks that a verdict does not go without."""
-    return [each for each in program.remarks if each == IN_TIMESTEPS]
+    return [each for each in program.remarks if each in (*program.outliers, IN_TIMESTEPS)]
 
 
 def _print_chip(check: DesignCheck) -> None:
