@@ -34,8 +34,8 @@ HEAD = """\
 #
 # `./spike` installs these. A line with a marker is for some versions of Python alone; on the others
 # pip takes the newest version that pyproject.toml allows. Where a wheel is missing for a platform,
-# leave out `-c constraints.txt`, or the line. `spikedeploy doctor` says what differs. torch has
-# no `+cpu` here, so that plain pip finds it, and the wheel of any index will do.
+# leave out `-c constraints.txt`, or the line. torch has no `+cpu` here, so that plain pip finds it,
+# and the wheel of any index will do.
 """
 _OLDEST = (3, 10)
 _EXTRA = r"extra\s*==\s*['\"]([^'\"]+)['\"]"

@@ -272,7 +272,6 @@ def reset_energy(states: float, table: EnergyTable) -> float | None:
 # data movement, and find 5.7 % at T = 5 under what they call typical neuromorphic hardware
 # conditions, against a network of 3 bits
 
-YAN2024 = 0.057  # spikes per neuron and timestep at T = 5
 BREAK_EVEN_TABLES = tuple(n for n, t in TABLES.items() if {"sop", "mac"} <= t.joules.keys())
 
 

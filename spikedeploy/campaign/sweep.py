@@ -2,7 +2,7 @@
 
 <folder>/
     results.jsonl  a line for each job that ended: its record and row, or why it failed
-    sweep.md, sweep.html, sweep.csv
+    report.html, report.json, sweep.csv
 """
 
 import json
@@ -19,7 +19,8 @@ from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import EpisodeJob, period_of, play
 from spikedeploy.console import progress, say
 from spikedeploy.jobs import JobResult, Serial, local_pool, sigterm_as_interrupt
-from spikedeploy.outputs import check_folder, has_text, mark
+from spikedeploy.outputs import check_folder
+from spikedeploy.reports.page import is_page_of
 from spikedeploy.runtime.files import as_text, locked
 from spikedeploy.user_errors import one_line
 
@@ -142,4 +143,4 @@ def is_sweep(folder: Path) -> bool:
     if results.is_file():
         with results.open("rb") as file:
             return file.read(len(_HEAD)) == _HEAD
-    return not results.exists() and has_text(folder / "sweep.md", f"<!-- {mark('sweep')} -->")
+    return not results.exists() and is_page_of("sweep")(folder)

@@ -10,7 +10,6 @@ import numpy as np
 from spikedeploy.campaign.sweep_grid import SweepJob
 from spikedeploy.comparison.statistics import FEWEST, bootstrap, paired_difference, share
 from spikedeploy.console import print_text
-from spikedeploy.outputs import mark
 from spikedeploy.policies.costs import weighted_mean
 from spikedeploy.reports.columns import (
     earned_columns,
@@ -21,11 +20,11 @@ from spikedeploy.reports.columns import (
     quoted_table,
 )
 from spikedeploy.reports.columns import format_difference as difference_cell
-from spikedeploy.reports.page import write_beside
+from spikedeploy.reports.page import provenance, render, write_page
 from spikedeploy.reports.table import ABSENT, Cell, Column, Table, write_rows
 
 Record = dict[str, Any]
-PAGE, SHOWN, NUMBERS = "sweep.md", "sweep.html", "sweep.csv"
+NUMBERS = "sweep.csv"
 _PER_INFERENCE = ("spikes_per_inference", "sops_per_inference", "macs_dense")
 _PRICES = ("energy_per_inference_j", "energy_interval_j")
 _ON_PAGES = ("episodes", "energy")  # for which a terminal is too narrow
@@ -114,27 +113,34 @@ def print_sweep(sweep: Sweep) -> None:
 
 
 def write_sweep(sweep: Sweep, folder: Path) -> list[Path]:
-    """Write the page and the CSV of what is there; return both."""
+    """Write the page and the CSV of what is there; return the page first."""
     table = quoted_table([each.row for each in sweep.found])
     lines = [_line(sweep, job, table) for job in sweep.jobs]
     numbers = write_rows(lines, list(lines[0]), folder / NUMBERS)
-    page, shown = write_beside(folder / PAGE, "\n".join(_page(sweep)), {})
-    return [page, numbers, shown]
+    return [*write_page("sweep", sweep_page(sweep), sweep.as_json(), folder), numbers]
 
 
-def _page(sweep: Sweep) -> list[str]:
+def sweep_page(sweep: Sweep) -> str:
+    """The page as one file."""
     rows = cells(sweep.found)
-    columns = [*_axes(rows), *_measured(rows)]
-    lines = [f"# Sweep {sweep.name}", "", f"<!-- {mark('sweep')} -->", f"{sweep.summary}.", ""]
-    if rows:
-        lines += [Table.from_records(columns, rows).markdown(), ""]
-        meanings = [f"{c.title}: {c.meaning}" for c in columns if c.meaning]
-        lines += [*(f"* {remark}" for remark in (*meanings, *_remarks(rows))), ""]
+    columns = [*_axes(rows), *_measured(rows)] if rows else []
+    meanings = [f"{c.title}: {c.meaning}" for c in columns if c.meaning]
+    tables = [Table.from_records(columns, rows)] if rows else []
     if sweep.failures:
-        lines += ["## Failed", "", *(f"* {label}: {why}" for label, why in sweep.failures), ""]
+        tables.append(Table(("job", "why"), sweep.failures, "Failed"))
     versions = {pair for job in sweep.jobs for pair in job.record["versions"].items()}
-    said = sorted(f"{name} {version}" for name, version in versions if version)
-    return [*lines, f"Computed with {', '.join(said)}; every job in [{NUMBERS}]({NUMBERS}).", ""]
+    said = ", ".join(sorted(f"{name} {version}" for name, version in versions if version))
+    return render(
+        "campaign",
+        title=f"Sweep {sweep.name}",
+        lead=f"{sweep.summary}.",
+        paragraphs=(),
+        commands=(),
+        drawings=(),
+        tables=tables,
+        remarks=[*meanings, *_remarks(rows)],
+        made=[("jobs", NUMBERS), ("computed with", said), *provenance()],
+    )
 
 
 def _remarks(rows: Sequence[Record]) -> list[str]:

@@ -7,7 +7,7 @@ checkpoint was chosen, nor those of `compare`, by which tuned settings are to be
 <folder>/
     journal.log    the study
     trial-<n>/     the run of each trial, and its log
-    tune.md, tune.html, history.png, front.png
+    report.html, report.json
 """
 
 import shlex

@@ -1,24 +1,19 @@
-"""The page of a search, tune.md: its best settings, all trials, pictures."""
+"""The page of a search: its best settings, all trials, pictures."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spikedeploy.campaign.tune import FIRST_SEED, TuningPlan, best, describe
-from spikedeploy.outputs import has_text
-from spikedeploy.reports.page import write_beside
-from spikedeploy.reports.plots import BLUE, VERMILION, framed_figure, save
+from spikedeploy.reports.page import is_page_of, provenance, render
+from spikedeploy.reports.plots import BLUE, VERMILION, framed_figure, svg
 from spikedeploy.reports.table import ABSENT, Table
 
 if TYPE_CHECKING:
     import optuna
     from matplotlib.figure import Figure
-
-PAGE, SHOWN = "tune.md", "tune.html"
-_SEEDS = "These seeds chose the settings"
 
 
 def is_study(folder: Path) -> bool:
@@ -27,46 +22,40 @@ def is_study(folder: Path) -> bool:
     if journal.is_file():
         with journal.open("rb") as file:
             return file.read(11) == b'{"op_code":'
-    return not journal.exists() and has_text(folder / PAGE, _SEEDS)
+    return not journal.exists() and is_page_of("tune")(folder)
 
 
-def write_page(plan: TuningPlan, study: "optuna.Study", folder: Path) -> list[Path]:
-    """Write page and pictures of what is known so far; return their paths, the page first."""
-    figures = {"history.png": history_figure(study)}
-    if any(trial.user_attrs.get("sops") is not None for trial in study.trials):
-        figures["front.png"] = front_figure(plan, study)
-    pictures = [save(figure, folder / name) for name, figure in figures.items()]
-    text = "\n\n".join([*_paragraphs(plan, study, figures), _table(plan, study).markdown()])
-    page, shown = write_beside(folder / PAGE, text + "\n", figures)
-    return [page, *pictures, shown]
-
-
-def _paragraphs(
-    plan: TuningPlan, study: "optuna.Study", figures: "Mapping[str, Figure]"
-) -> Iterator[str]:
+def study_page(plan: TuningPlan, study: "optuna.Study") -> str:
+    """The page of what is known so far, as one file."""
     counts = Counter(describe(trial)["state"] for trial in study.trials)
     states = ", ".join(f"{count} {state}" for state, count in counts.items())
-    objective = {
-        "return": "the return",
-        "return,sops": "the return, and few SOPs a control step",
-    }[plan.objective]
-    yield f"# Settings of {plan.recipe}" + (f" in {plan.env}" if plan.env else "")
-    yield f"Objective: {objective}. {len(study.trials)} trials: {states or 'none'}."
-    chip = f"`{plan.chip}`" if plan.chip else "the chip that it is trained for, or the default"
-    yield (
-        f"Returns are means over {plan.episodes} episodes of the exported policy, from seed "
-        f"{FIRST_SEED:,}; a spiking one runs on {chip}. {_SEEDS}: judge them by `spikedeploy "
-        "compare`, whose seeds nothing here has seen."
-    )
-    chosen = best(plan, study)
-    for trial in chosen:
+    wanted = "the return, and few SOPs a control step" if plan.has_two else "the return"
+    chip = plan.chip or "the chip that it is trained for, or the default"
+    drawings = [svg(history_figure(study), "Return of each trial, and the best so far")]
+    if any(trial.user_attrs.get("sops") is not None for trial in study.trials):
+        drawings.append(svg(front_figure(plan, study), "Return against operations of each trial"))
+    commands = []
+    for trial in best(plan, study):
         found = describe(trial)
         sops = "" if found["sops"] is None else f", {found['sops']:,.1f} SOPs a control step"
-        yield f"Trial {trial.number}, return {_cell(found['return'])}{sops}:"
-        yield f"    {plan.command(trial.params)}"
-    if not chosen:
-        yield "No trial is complete."
-    yield from (f"![{Path(name).stem}]({name})" for name in figures)
+        words = f"Trial {trial.number}, return {_cell(found['return'])}{sops}:"
+        commands.append((words, plan.command(trial.params)))
+    return render(
+        "campaign",
+        title=f"Settings of {plan.recipe}" + (f" in {plan.env}" if plan.env else ""),
+        lead=f"Objective: {wanted}. {len(study.trials)} trials: {states or 'none'}.",
+        paragraphs=[
+            f"Returns are means over {plan.episodes} episodes of the exported policy, from seed "
+            f"{FIRST_SEED:,}; a spiking one runs on {chip}. These seeds chose the settings: judge "
+            "them by `spikedeploy compare`, whose seeds nothing here has seen.",
+            "" if commands else "No trial is complete.",
+        ],
+        commands=commands,
+        drawings=drawings,
+        tables=[_table(plan, study)],
+        remarks=(),
+        made=provenance(),
+    )
 
 
 def _table(plan: TuningPlan, study: "optuna.Study") -> Table:
@@ -82,7 +71,7 @@ def _table(plan: TuningPlan, study: "optuna.Study") -> Table:
 def _cell(value: object) -> str:
     if value is None:
         return ABSENT
-    return f"{value:,.4g}" if isinstance(value, float) else str(value).replace("|", "\\|")
+    return f"{value:,.4g}" if isinstance(value, float) else str(value)
 
 
 def history_figure(study: "optuna.Study") -> "Figure":

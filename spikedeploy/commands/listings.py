@@ -124,30 +124,18 @@ def energy(
     *,
     name: Annotated[str, typer.Argument(metavar="[NAME]")] | None = None,
     json: Json = False,
-    markdown: bool = False,
-    break_even: bool = False,
 ) -> None:
     """List the energy tables: prices of events, sources, uncertainty.
 
     name: one energy table in full (default: all)
-    break_even: spike rates below which spiking costs less
-
-    Output:
-        markdown: print the table of results/energy-tables.md
     """
     from spikedeploy.reports import datasheets
-    from spikedeploy.runtime.metrics.energy import YAN2024, energy_table
+    from spikedeploy.runtime.metrics.energy import energy_table
 
     if name is not None:
         table = energy_table(name)
         priced = next(each for each in datasheets.price_list()["tables"] if each["name"] == name)
         _show(priced, datasheets.energy_sheet(table), json)
-    elif markdown and not json:
-        lines = datasheets.break_even_table().markdown if break_even else datasheets.energy_markdown
-        typer.echo(lines())
-    elif break_even:
-        data = {"rates": datasheets.break_even_list(), "yan2024": YAN2024}
-        _show(data, [datasheets.break_even_table()], json, datasheets.BREAK_EVEN_NOTE)
     else:
         tables, note = datasheets.energy_overview(), datasheets.energy_choice()
         _show(datasheets.price_list(), tables, json, note)
@@ -206,7 +194,7 @@ def doctor(*, json: Json = False) -> None:
     from spikedeploy import zoo
     from spikedeploy.reports.table import Table
 
-    found = [*_versions(), *_wrong(), _tested(), _threads(), _tried("rendering", _draw)]
+    found = [*_versions(), *_wrong(), _threads(), _tried("rendering", _draw)]
     for policy in (_tried(name, partial(_opened, name)) for name in zoo.names()):
         if policy.ok or policy.detail not in {each.detail for each in found}:
             found.append(policy)
@@ -236,17 +224,6 @@ def _wrong() -> Iterator[DoctorFinding]:
 
     for sentence in wrong_requirements(extras=True):
         yield DoctorFinding("version", False, sentence)
-
-
-def _tested() -> DoctorFinding:
-    """Versions that differ from the tested set."""
-    from spikedeploy.tested_set import differences, tested_versions
-
-    of, differ = len(tested_versions()), differences()
-    if not differ:
-        return DoctorFinding("tested set", None, f"no version differs, of {of} packages")
-    remedy = "if something fails: pip install -c constraints.txt, from a checkout"
-    return DoctorFinding("tested set", None, f"{len(differ)} differ: {', '.join(differ)}; {remedy}")
 
 
 def _threads() -> DoctorFinding:

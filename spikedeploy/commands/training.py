@@ -298,8 +298,9 @@ def tune(
     """
     from spikedeploy.campaign.tune import TuningPlan, best, describe
     from spikedeploy.campaign.tune import tune as find
-    from spikedeploy.campaign.tune_page import PAGE, SHOWN, is_study, write_page
+    from spikedeploy.campaign.tune_page import is_study, study_page
     from spikedeploy.outputs import check_output_folder
+    from spikedeploy.reports.page import FILES, write_page
 
     plan = TuningPlan(
         recipe=recipe, env=env or "", objective=objective,
@@ -309,16 +310,16 @@ def tune(
     of_env = re.sub(r"[^A-Za-z0-9.-]+", "-", plan.env)  # in letters that a path may have
     where = folder or Path("runs/tune") / "-".join(filter(None, (recipe, of_env)))
     # a study goes on; other people's files of these names stay
-    check_output_folder("--folder", where, (PAGE, SHOWN, "journal.log"), (), False, is_study)
+    check_output_folder("--folder", where, (*FILES, "journal.log"), (), False, is_study)
     study, finished = find(plan, where, trials, jobs, (lambda line: None) if json else say)
-    files, chosen = write_page(plan, study, where), best(plan, study)
+    chosen = best(plan, study)
     commands = [plan.command(trial.params) for trial in chosen]
     record = {
         "trials": [describe(trial) for trial in study.trials],
         "best": [{**describe(t), "command": c} for t, c in zip(chosen, commands, strict=True)],
-        "files": [str(path) for path in files],
     }
-    print_result(json, record, *commands, f"wrote {where / PAGE}")
+    page, _ = write_page("tune", study_page(plan, study), record, where)
+    print_result(json, record, *commands, f"wrote {page}")
     raise typer.Exit(130 if not finished else 0 if chosen else 1)
 
 
@@ -343,12 +344,13 @@ def sweep(
     """
     from spikedeploy.campaign.sweep import RESULTS, is_sweep, load_sweep, run_sweep
     from spikedeploy.campaign.sweep_grid import read_grid
-    from spikedeploy.campaign.sweep_page import NUMBERS, PAGE, SHOWN, print_sweep
+    from spikedeploy.campaign.sweep_page import NUMBERS, print_sweep
     from spikedeploy.outputs import check_output_folder
+    from spikedeploy.reports.page import FILES
 
     grid = read_grid(spec)
     folder = output or Path("runs/sweeps") / grid.name
-    files = (PAGE, SHOWN, NUMBERS, RESULTS)
+    files = (*FILES, NUMBERS, RESULTS)
     check_output_folder("-o", folder, files, (spec,), force, is_sweep)
     found = run_sweep(grid, folder, workers, retry) if run else load_sweep(grid, folder)
     if json:

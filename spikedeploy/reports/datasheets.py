@@ -6,11 +6,6 @@ from typing import Any
 
 from spikedeploy.reports.table import ABSENT, COMMON_TABLE, Table, format_si
 from spikedeploy.runtime.chips.chip import CHIPS, Chip, chip
-from spikedeploy.runtime.metrics.energy import (
-    BREAK_EVEN_TABLES,
-    YAN2024,
-    break_even_rate,
-)
 from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES, EnergyTable, Uncertainty
 
 _PICO, _NANO = 1e-12, 1e-9
@@ -185,13 +180,6 @@ def _energy_sources() -> list[tuple[str, str]]:
     return [*tables, *powers]
 
 
-def energy_markdown() -> str:
-    """Tables and sources in Markdown, for results/energy-tables.md."""
-    table, *_ = energy_overview()
-    sources = "\n".join(f"* `{name}` – {source}." for name, source in _energy_sources())
-    return f"{table.markdown()}\n\n{sources}"
-
-
 def energy_choice() -> str:
     """The table to quote."""
     return (
@@ -269,55 +257,6 @@ def _uncertain(uncertainty: Uncertainty) -> dict[str, Any]:
         "is": uncertainty.describe(),
         "why": uncertainty.why,
     }
-
-
-# break-even lines
-
-
-_TIMESTEPS = (1, 5, 16)
-_FAN_INS = (None, 32, 128, 512)  # None leaves neuron updates out
-_ACTIVITIES = {1.0: "dense", 0.5: "skips half"}  # of the float network's inputs
-BREAK_EVEN_NOTE = (
-    "Spikes per presynaptic neuron and timestep below which a spiking network costs less than a "
-    "float network of the same shape. Yan et al. (arXiv 2409.08290v4) find "
-    f"{100 * YAN2024:.1f} % at T = 5 in a model of their own, which has data movement, against a "
-    "quantised network of 3 bits."
-)
-
-
-def break_even_list() -> list[dict[str, Any]]:
-    """The lines as plain data; fan_in None is without neuron updates, activity 1 dense."""
-    return [
-        {
-            "table": name,
-            "timesteps": timesteps,
-            "activity": activity,
-            "fan_in": fan_in,
-            "rate": break_even_rate(TABLES[name], timesteps, fan_in, activity),
-        }
-        for name in BREAK_EVEN_TABLES
-        for timesteps in _TIMESTEPS
-        for activity in _ACTIVITIES
-        for fan_in in _FAN_INS
-    ]
-
-
-def break_even_table() -> Table:
-    """A row for each energy table and number of timesteps; also in results/energy-tables.md."""
-    heads = [
-        kind if fan_in is None else f"{kind}, updates, fan-in {fan_in}"
-        for kind in _ACTIVITIES.values()
-        for fan_in in _FAN_INS
-    ]
-    rows: dict[tuple[str, int], list[str]] = {}
-    for line in break_even_list():
-        rows.setdefault((line["table"], line["timesteps"]), []).append(_rate(line["rate"]))
-    cells = [(table, str(timesteps), *rates) for (table, timesteps), rates in rows.items()]
-    return Table(("table", "T", *heads), cells, "Break-even spike rates")
-
-
-def _rate(rate: float) -> str:
-    return "never" if rate <= 0 else "always" if rate >= 1 else f"{100 * rate:.1f} %"
 
 
 # policies

@@ -118,8 +118,8 @@ def test_failures_are_kept_with_their_reason_and_retried_on_request(grid, tmp_pa
     assert all("no_such" in why and "\n" not in why for _, why in first.failures)
     assert run_sweep(wrong, tmp_path).ran == 0
     assert run_sweep(wrong, tmp_path, retry=True).ran == 2
-    page = (tmp_path / "sweep.md").read_text()
-    assert "## Failed" in page
+    page = (tmp_path / "report.html").read_text()
+    assert "<h2>Failed" in page
     assert "no_such" in page
 
 
@@ -137,7 +137,7 @@ def test_ctrl_c_keeps_what_is_done(grid, tmp_path, serial, monkeypatch):
         outcome = run_sweep(grid, tmp_path)
     assert (outcome.interrupted, outcome.ran) == (True, 5)
     said = f"5 of {JOBS} jobs are done, 0 failed, {JOBS - 5} are missing"
-    assert said in (tmp_path / "sweep.md").read_text()
+    assert said in (tmp_path / "report.html").read_text()
     assert run_sweep(grid, tmp_path).ran == JOBS - 5
     assert results(tmp_path) == results(serial)
 
@@ -188,14 +188,14 @@ def test_the_command_runs_shows_and_goes_on(spec, serial, command):
 def test_cells_of_few_episodes_claim_no_interval_and_say_why(grid, serial, capsys):
     sweep = load_sweep(grid, serial)
     print_sweep(sweep)
-    out, page = " ".join(capsys.readouterr().out.split()), (serial / "sweep.md").read_text()
+    out, page = " ".join(capsys.readouterr().out.split()), (serial / "report.html").read_text()
     for text in (out, page):
         assert "Cells of fewer than 5 episodes have no interval" in text
     assert not re.search(r"\d \[", page)
     assert not sweep_page._remarks([{"episodes": 5}])
 
 
-@pytest.mark.parametrize("name", ["sweep.md", RESULTS])
+@pytest.mark.parametrize("name", ["report.html", RESULTS])
 def test_a_folder_of_something_else_is_left_alone(name, spec, tmp_path, command):
     (tmp_path / name).write_text("mine\n")
     code, _, err = command("sweep", spec, "-o", tmp_path, "--workers", 1)

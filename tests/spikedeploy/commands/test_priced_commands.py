@@ -8,7 +8,6 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import save
 from tests import toy_stroll_env
 from tests.networks import popsan
-from tests.paths import ROOT
 
 
 @pytest.fixture
@@ -58,25 +57,3 @@ def test_run_prices_by_the_tables_that_are_named(command, monkeypatch, tmp_path)
     # 5.3 pJ a synaptic operation, those of the biases included
     sops = row["sops_per_inference"] + row["bias_sops_per_inference"]
     assert row["energy_per_inference_j"] == {"reckon": pytest.approx(sops * 5.3e-12)}
-
-
-def test_the_page_about_energy_shows_what_the_command_prints(command):
-    page = (ROOT / "results/energy-tables.md").read_text(encoding="utf-8")
-    assert command("energy", "--markdown")[1].strip() in page
-    assert command("energy", "--break-even", "--markdown")[1].strip() in page
-
-
-def test_break_even_lines_are_printed_and_listed(command):
-    found = json.loads(command("energy", "--break-even", "--json")[1])
-    assert found["yan2024"] == 0.057
-    (line,) = [
-        each
-        for each in found["rates"]
-        if (each["table"], each["timesteps"], each["activity"]) == ("horowitz45-int8", 5, 1)
-        and each["fan_in"] == 128
-    ]
-    # (1.55 / 5 - 26.5 / 128) / 1.35
-    assert line["rate"] == pytest.approx(0.0763, abs=1e-4)
-    out = " ".join(command("energy", "--break-even")[1].split())
-    assert "7.6 %" in out
-    assert "find 5.7 % at T = 5 in a model of their own" in out
