@@ -76,7 +76,7 @@ def run_folder(runs, policy, seed=0):
 
     from spikedeploy.trainers.policies import from_config
     from spikedeploy.trainers.run_folder import RunFolder
-    from spikedeploy.trainers.sac.learner import SacConfig
+    from spikedeploy.trainers.sac import SacConfig
 
     torch.manual_seed(seed)
     config = {"algorithm": "sac", "recipe": "smoke", "env": {"name": "stroll"}, "policy": policy}

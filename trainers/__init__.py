@@ -9,11 +9,11 @@ train.py          from the name of a recipe to a run folder
 runner.py         what all algorithms share: loop, validation, resuming; networks and optimisers
 env_batch.py      copies of an environment, stepped as a batch, brought back where they were
 run_folder.py     files of a run: configuration, lock, checkpoints with checksums
-metrics_file.py   the CSV files of a run, checked before it goes on, and the learning curve
+metrics_file.py   the CSV file of a run, and its learning curve
 progress.py       progress bar, journal of metrics, signals that stop at a checkpoint
 versions.py       installed versions
 onnx_session.py   ONNX Runtime session of a float network, tried within limits
-sac/              soft actor-critic
+sac.py            soft actor-critic
 ppo.py            proximal policy optimisation
 distill/          distillation of a teacher by DAgger
 sparse/           imitation through whole walks, pruned by operations; then reward
@@ -30,7 +30,7 @@ An algorithm is a subclass of Runner and a line in ALGORITHMS; a recipe is an en
 """
 
 ALGORITHMS: dict[str, str] = {
-    "sac": "spikedeploy.trainers.sac.sac:Sac",
+    "sac": "spikedeploy.trainers.sac:Sac",
     "distill": "spikedeploy.trainers.distill.distill:Distill",
     "ppo": "spikedeploy.trainers.ppo:Ppo",
     "sparse": "spikedeploy.trainers.sparse.sparse:Sparse",

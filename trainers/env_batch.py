@@ -35,7 +35,6 @@ class Steps:
     reward: (B,)
     terminated, truncated: (B,) whether the episode ended, by a terminal state or the time limit
     infos: (B,) of the environments
-    total, count: (B,) sum of the rewards and number of the steps of each episode so far
     """
 
     observation: NDArray[np.float64]
@@ -45,8 +44,6 @@ class Steps:
     truncated: NDArray[np.bool_]
     following: NDArray[np.float64]
     infos: tuple[Mapping[str, Any], ...]
-    total: NDArray[np.float64]
-    count: NDArray[np.int64]
 
     @property
     def ended(self) -> NDArray[np.bool_]:
@@ -154,8 +151,6 @@ class EnvBatch:
             np.array(truncated),
             np.stack(following),
             infos,
-            self._totals.copy(),
-            np.array([len(episode.actions) for episode in self.episodes]),
         )
         self.observation = steps.following.copy()
         for k in np.flatnonzero(steps.ended).tolist():

@@ -3,7 +3,6 @@
 import csv
 import io
 import math
-import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,12 +21,10 @@ class Metrics:
 
     path: path of the file
     columns: names, of which the first is the step
-    key: key of a checkpoint's state; there stands the step of the last row, None before there is
-        one
     """
 
-    def __init__(self, path: Path, columns: tuple[str, ...], key: str = "logged") -> None:
-        self.path, self.columns, self.key = path, columns, key
+    def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
+        self.path, self.columns = path, columns
 
     def begin(self) -> None:
         """Write a file without rows, unless there is a file."""
@@ -40,49 +37,15 @@ class Metrics:
             csv.DictWriter(file, self.columns).writerow(_rounded(row))
 
     def rewind(self, step: float) -> None:
-        """Drop the rows after a step, which a resumed run writes again."""
-        self._write([row for row in _rows(self._lines()) if row[self.columns[0]] <= step])
-
-    def _lines(self) -> str:
-        """Return the file without a last line that a full disk has cut off."""
-        text = self.path.read_text(encoding="utf-8")
-        return text[: text.rfind("\n") + 1]
-
-    def clear(self) -> None:
-        """Drop all rows, whatever the file holds; before it is made, do nothing."""
-        if self.path.is_file():
-            self._write([])
+        """Drop the rows after a step, which a resumed run writes again, and one that is cut off."""
+        found = self.path.read_bytes()
+        rows = _table(self.path, found[: found.rfind(b"\n") + 1])
+        self._write([row for row in rows if row.get(self.columns[0], math.inf) <= step])
 
     def flush(self) -> None:
         """Put the rows onto the disk, before a checkpoint relies on them."""
         if self.path.is_file():
             flush(self.path)
-
-    def check(self, step: float, state: Mapping[str, Any]) -> None:
-        """Refuse a run to be resumed at `step` where rows before are damaged or lost."""
-        logged, unit = state[self.key], self.columns[0].replace("_", " ")
-        if self.path.is_file() and (fault := self._fault(logged)):
-            raise ConfigError(
-                f"{self.path} is damaged: {fault}. Put it back, or move it away: then a new one "
-                f"begins at {step:g} {unit}. The policy is not affected."
-            )
-        if logged is not None and not (self.path.is_file() and read(self.path)):
-            print(f"{self.path} has no rows: they begin at {step:g} {unit}", file=sys.stderr)
-
-    def _fault(self, logged: float | None) -> str:
-        """Return what is wrong with the file; nothing where its rows go to `logged`."""
-        try:
-            rows = _rows(text := self._lines())
-            names, *cells = csv.reader(text.splitlines())
-        except (ValueError, TypeError, csv.Error):
-            return "it is no table of numbers"
-        steps = [row.get(self.columns[0], math.nan) for row in rows]
-        whole = all(map(math.isfinite, steps)) and all(len(each) == len(names) for each in cells)
-        if not whole or not set(names) <= set(self.columns):
-            return "its first line is not the names of its columns, or a row is cut off"
-        if steps and logged is not None and max(steps) < logged:
-            return f"its rows end at {max(steps):g}, and were written up to {logged:g}"
-        return ""
 
     def _write(self, rows: Iterable[Mapping[str, float]]) -> None:
         with (
@@ -102,8 +65,15 @@ def read(path: Path) -> list[dict[str, float]]:
         raise ConfigError(f"{path} {what}: a run has its returns there. Put it back from the run.")
     if (size := path.stat().st_size) > _MAX_BYTES:
         raise ConfigError(f"{path} has {size:,} bytes; at most {_MAX_BYTES:,}. Move it away.")
+    return _table(path, path.read_bytes())
+
+
+def _table(path: Path, content: bytes) -> list[dict[str, float]]:
     try:
-        return _rows(path.read_text(encoding="utf-8"))
+        return [
+            {key: float(value) for key, value in row.items() if value}
+            for row in csv.DictReader(io.StringIO(content.decode(), newline=""))
+        ]
     except (ValueError, TypeError, csv.Error) as error:  # bytes, words, or more cells than columns
         raise ConfigError(
             f"{path} is no table of numbers ({error}). Put it back, or move it away."
@@ -114,13 +84,6 @@ def spike_rate(row: Mapping[str, Any]) -> float | None:
     """Return the spikes of a row for each neuron and timestep, the mean of its layers."""
     silent = [value for name, value in row.items() if name.startswith("sparsity_lif")]
     return 1.0 - sum(silent) / len(silent) if silent else None
-
-
-def _rows(text: str) -> list[dict[str, float]]:
-    return [
-        {key: float(value) for key, value in row.items() if value}
-        for row in csv.DictReader(io.StringIO(text, newline=""))
-    ]
 
 
 def _rounded(row: Mapping[str, float]) -> dict[str, str]:

@@ -4,7 +4,7 @@ For discrete and continuous actions; on-policy (Schulman et al. 2017).
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -26,19 +26,14 @@ from spikedeploy.trainers.config import (
     ValidationConfig,
     Width,
 )
-from spikedeploy.trainers.env_batch import Steps
-from spikedeploy.trainers.metrics_file import Metrics
 from spikedeploy.trainers.neurons import excess_rate
 from spikedeploy.trainers.policies import Policy, from_config
-from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam, descend, set_rate
 
 _HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 _SMALL = 0.01  # initial scale of the last layer: nearly equal actions (Andrychowicz et al. 2021)
 _EPS = 1e-8
-_OUTCOMES = ("finish", "crash", "gates", "lap_time")  # of the last info, if it has them
-_COLUMNS = ("env_steps", "steps", "return", "success", *_OUTCOMES)
 
 
 class PpoConfig(RunConfig):
@@ -374,25 +369,12 @@ class Ppo(EnvRunner[PpoConfig]):
         self.iterations = 0
         self._learned: dict[str, float] = {}
         self.finishes = 0
-        self._ended: int | None = None  # step at which the latest episode ended
-        self._table = self.tables(run, config)[1]
-
-    def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
-        """Train, from the checkpoint "last" if there is one, to the end or until stopped."""
-        self._table.begin()
-        super().learn(journal, stopped)
-
-    @classmethod
-    def tables(cls, run: RunFolder, config: RunConfig) -> list[Metrics]:
-        """Return the tables that training appends to, and a checkpoint must agree with."""
-        episodes = Metrics(run.path / "episodes.csv", _COLUMNS, "episode_logged")
-        return [*super().tables(run, config), episodes]
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
         before = self.env_steps
         self.learner.schedule(before)
         self._learned = self.learner.learn(self.collect())
-        self._learned["learning_rate"] = self._config.actor_rate.value(before)
+        self._learned["learning_rate"] = self.config.actor_rate.value(before)
         self.iterations += 1
         self._count_episodes()
         return True
@@ -400,8 +382,8 @@ class Ppo(EnvRunner[PpoConfig]):
     def collect(self) -> list[Transition]:
         """Take `horizon` steps in every environment."""
         transitions = []
-        frozen = self.env_steps >= self._config.normaliser.finish
-        for _ in range(self._config.horizon):
+        frozen = self.env_steps >= self.config.normaliser.finish
+        for _ in range(self.config.horizon):
             observation = torch.from_numpy(self._envs.observation).float()
             encoded, drawn, log_probability = self.learner.explore(observation)
             steps = self._envs.step(self.learner.head.action(drawn).numpy())
@@ -417,31 +399,13 @@ class Ppo(EnvRunner[PpoConfig]):
                     torch.from_numpy(steps.ended),
                 )
             )
-            self._log_ended(steps)
+            ends = (steps.infos[k] for k in np.flatnonzero(steps.ended))
+            self.finishes += sum(int(info.get("finish", 0.0)) for info in ends)
         if not frozen:
             for transition in transitions:
                 self._moments.add(transition.observation.double().numpy())
             self.policy.normalizer.adopt(self._moments)
         return transitions
 
-    def _log_ended(self, steps: Steps) -> None:
-        """Write a row for each episode that ended, in the order in which copies are stepped."""
-        for k in np.flatnonzero(steps.ended).tolist():
-            info = steps.infos[k]
-            known = [name for name in ("success", *_OUTCOMES) if name in info]
-            outcome = {name: float(info[name]) for name in known}
-            self._ended = self.env_steps - len(self._envs) + k + 1
-            row = {"env_steps": self._ended, "steps": steps.count[k], "return": steps.total[k]}
-            self._table.add({**row, **outcome})
-            self.finishes += int(outcome.get("finish", 0.0))
-
     def _metrics(self) -> dict[str, float]:
         return self._learned
-
-    def _state(self) -> dict[str, Any]:
-        return {**super()._state(), self._table.key: self._ended}
-
-    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        super()._restore(state, tensors)
-        self._ended = state[self._table.key]
-        self._table.rewind(self.env_steps)

@@ -6,18 +6,16 @@
     metrics.csv          one row for each logging interval
     curve.png            learning curve
     report.html          to look at: written anew after each row of metrics
-    replay.safetensors   replay buffer of an unfinished run
     checkpoints/{last,best}.safetensors, each with a .json of its numbers to read
 
-A checkpoint is one file, which is replaced at once and holds the checksum of itself and those of
-the files that belong to it, so that at any moment one that is complete can be resumed.
+A checkpoint is one file, which is replaced at once and holds its checksum, so that at any moment
+one that is complete can be resumed. "last" has everything that resuming needs.
 """
 
 import errno
 import hashlib
 import json
 import re
-import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -37,29 +35,18 @@ if TYPE_CHECKING:  # reports look at runs where torch and pydantic are not insta
     from spikedeploy.trainers.policies import Policy
 
 LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
-_LISTED = 8
-_FOLDERS = ("checkpoints", "pool")  # of training, in a run folder
-# what a kill leaves of a file of training: of `replacing`, with other endings than exports have,
-# and of safetensors, which writes to a file of its own at first
-_UNFINISHED = re.compile(
-    r"\.(.+\.(json|csv|safetensors|npz)|curve\.png|report\.html)"
-    r"\.(\w+-)?\d+\.part|\.tmp\w{6}"
-)
 
 
 class RunFolder:
     """One run on disk.
 
     path: the folder
-    metrics, replay: of its files
-    next_replay: the replay buffer of the checkpoint that is being written
+    metrics: path of the metrics
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.metrics = self.path / "metrics.csv"
-        self.replay = self.path / "replay.safetensors"
-        self.next_replay = self.path / "replay.next.safetensors"
 
     @classmethod
     def create(cls, runs: str | Path, config: "RunConfig") -> "RunFolder":
@@ -83,7 +70,7 @@ class RunFolder:
 
     @classmethod
     def find(cls, name: str | Path, runs: str | Path = "runs", recipe: str = "") -> "RunFolder":
-        """Return a run by path or by its name in `runs`, or a beginning of it that no other has.
+        """Return a run by path or by its name in `runs`; ConfigError where there is none.
 
         "last" is the newest with a checkpoint, of the recipe if one is given.
         """
@@ -119,6 +106,12 @@ class RunFolder:
         """Return the path of a checkpoint, whether or not it exists."""
         return self.path / "checkpoints" / f"{name}.safetensors"
 
+    @property
+    def begun(self) -> bool:
+        """True from the first checkpoint "last" on, also where it was lost."""
+        last = self.checkpoint("last")
+        return last.is_file() or last.with_suffix(".json").is_file()
+
     def save(
         self,
         name: str,
@@ -150,47 +143,12 @@ class RunFolder:
     def load(self, name: str) -> "tuple[dict[str, Any], dict[str, Tensor]]":
         """Return state and tensors of a checkpoint."""
         path = self.checkpoint(name)
-        if not path.is_file():
-            self.check_weights(name)
-            raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
-        return read_checkpoint(path, self._remedy(name))
-
-    def check_weights(self, name: str) -> None:
-        """Refuse a checkpoint of which only the numbers to read were kept."""
-        path = self.checkpoint(name)
+        remedy = "Put the file back, or train again; the other checkpoints are files of their own."
         if path.with_suffix(".json").is_file() and not path.is_file():
-            raise ConfigError(
-                f"{path} is missing, so that the run cannot be resumed or exported. "
-                f"{self._remedy(name)}"
-            )
-
-    def _remedy(self, name: str) -> str:
-        """Return what can be saved of a run whose checkpoint is damaged or missing."""
-        found = sorted(path.stem for path in (self.path / "checkpoints").glob("*.safetensors"))
-        whole = next((other for other in found if other != name), None)
-        return "Put the file back, or train again" + (
-            f"; the checkpoint '{whole}' is a file of its own: "
-            f"`spikedeploy export {shlex.quote(str(self.path))} --checkpoint {whole}`."
-            if whole
-            else "."
-        )
-
-    def forget(self, counter: str, first: int) -> None:
-        """Delete what a run left that was killed before its first checkpoint "last".
-
-        counter: name of the step in checkpoints
-        first: steps after which a checkpoint is due
-        """
-        left = sorted((self.path / "checkpoints").glob("*.safetensors"))
-        for path in left:
-            # a validation may come just before the first checkpoint; this one is from long after
-            if self.load(path.stem)[0].get(counter, 0) >= 2 * first:
-                raise ConfigError(
-                    f"{self.checkpoint('last')} is missing, so that the run cannot be resumed. "
-                    f"{self._remedy('last')}"
-                )
-        for path in (*left, *(path.with_suffix(".json") for path in left)):
-            path.unlink(missing_ok=True)
+            raise ConfigError(f"{path} is missing. {remedy}")
+        if not path.is_file():
+            raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
+        return read_checkpoint(path, remedy)
 
     def locked(self) -> AbstractContextManager[None]:
         """Hold the lock of the run: one process trains in it at a time; reading needs none."""
@@ -198,11 +156,9 @@ class RunFolder:
         return files.locked(self.path / ".lock", busy)
 
     def sweep(self) -> None:
-        """Delete unfinished files of processes that were killed; the run must be locked."""
-        for folder in (self.path, *(self.path / name for name in _FOLDERS)):
-            for path in folder.glob(".*"):
-                if _UNFINISHED.fullmatch(path.name):
-                    path.unlink(missing_ok=True)
+        """Delete unfinished checkpoints of processes that were killed; the run must be locked."""
+        for path in (self.path / "checkpoints").glob(".*"):
+            path.unlink(missing_ok=True)
 
     def policy(self, name: str | None = None) -> "Policy":
         """Return the policy of a checkpoint, by default the best, else the last, ready to act."""
@@ -232,35 +188,12 @@ def _new_folder(path: Path) -> Path:
     raise FileExistsError(errno.EEXIST, "exists, and so do 999 beside it", str(path))
 
 
-# -- names of runs: a path, a name in a folder of runs, or the beginning of one
+# -- names of runs: a path, or a name in a folder of runs
 
 
 def find_run(name: str | Path, runs: str | Path = "runs") -> Path | None:
-    """Return the run folder of a path, of a name in `runs`, or of one that begins so; else None.
-
-    ConfigError lists the runs where several begin so.
-    """
-    places = (Path(name), Path(runs) / name)
-    for place in places:
-        if is_run(place):
-            return place
-    # a folder or file that is there is meant itself
-    if not Path(name).name or any(place.exists() for place in places):
-        return None
-    found = {
-        run.resolve(): run
-        for place in places
-        for run in runs_in(place.parent)
-        if run.name.startswith(place.name)
-    }
-    if len(found) > 1:
-        listed = sorted(map(str, found.values()))
-        more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
-        raise ConfigError(
-            f"{str(name)!r} is the beginning of {len(listed)} runs: "
-            f"{', '.join(listed[:_LISTED])}{more}"
-        )
-    return next(iter(found.values()), None)
+    """Return the run folder of a path, or of a name in `runs`; else None."""
+    return next((path for path in (Path(name), Path(runs) / name) if is_run(path)), None)
 
 
 def existing_run(name: str | Path, runs: str | Path = "runs") -> Path:
@@ -269,11 +202,6 @@ def existing_run(name: str | Path, runs: str | Path = "runs") -> Path:
         return path
     beside = "" if Path(name).is_absolute() else f", nor in {Path(runs) / name}"
     raise ConfigError(f"'{name}' is no run folder: no config.json in it{beside}")
-
-
-def is_beginning(name: str, runs: str | Path = "runs") -> bool:
-    """Return whether a name is the beginning of a run's, and not all of it."""
-    return find_run(name, runs) not in (None, Path(name), Path(runs) / name)
 
 
 def is_run(path: Path) -> bool:
@@ -298,7 +226,7 @@ def write_checkpoint(
     named: dict[str, Tensor] = {}
     places: set[int] = set()
     for key, value in tensors.items():
-        whole = value.contiguous()
+        whole = value.cpu().contiguous()
         # of layers that share a matrix each holds a copy, as the format has no references
         named[key] = whole.clone() if whole.data_ptr() in places else whole
         places.add(whole.data_ptr())
@@ -344,15 +272,6 @@ def write_errors(path: Path) -> Iterator[Path]:
         ) from error
 
 
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal digits."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(1 << 20):
-            digest.update(chunk)
-    return digest.hexdigest()
-
-
 def with_prefix(prefix: str, named: "Mapping[str, Tensor]") -> "dict[str, Tensor]":
     """Return the tensors whose names start with the prefix and a dot, with these removed."""
     start = f"{prefix}."
@@ -367,5 +286,5 @@ def _digest(state: Mapping[str, Any], tensors: "Mapping[str, Tensor]") -> str:
     digest = hashlib.sha256(json.dumps(numbers).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(tensor.contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
+        digest.update(tensor.contiguous().reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()

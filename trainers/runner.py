@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from spikedeploy import envs
+from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.files import flush
 from spikedeploy.trainers.config import (
     C,
     EnvConfig,
@@ -21,7 +23,6 @@ from spikedeploy.trainers.config import (
     spiking_layers,
 )
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.metrics_file import Metrics
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.policies.policy import Moments, full_precision
 from spikedeploy.trainers.progress import Journal
@@ -77,8 +78,7 @@ def adam(module: nn.Module, learning_rate: float) -> torch.optim.Adam:
     """Return Adam for a module's parameters (Kingma and Ba 2015)."""
     parameters = list(module.parameters())
     # the fused implementation is four times as fast as the others on one core
-    captured = parameters[0].is_cuda  # its steps may become part of a CUDA graph
-    return torch.optim.Adam(parameters, lr=learning_rate, fused=True, capturable=captured)
+    return torch.optim.Adam(parameters, lr=learning_rate, fused=True)
 
 
 def set_rate(optimizer: torch.optim.Adam, learning_rate: float) -> None:
@@ -114,8 +114,9 @@ class Critic(nn.Module):
 
 
 class Runner(ABC, Generic[C]):
-    """One run of an algorithm.
+    """One run of an algorithm; `begin` or `resume` comes before `learn`.
 
+    config: of the run, completed by what it starts from
     Config: model of the configuration
     COLUMNS: names of the metrics, of which the first is the step
     RATES: whether columns for the sparsity of spiking layers follow
@@ -141,32 +142,19 @@ class Runner(ABC, Generic[C]):
         layers = range(1, spiking_layers(config.policy) + 1) if cls.RATES else ()
         return (*cls.COLUMNS, *(f"sparsity_lif{k}" for k in layers))
 
-    @classmethod
-    def tables(cls, run: RunFolder, config: RunConfig) -> list[Metrics]:
-        """Return the tables that training appends to, and a checkpoint must agree with."""
-        return [Metrics(run.metrics, cls.columns(config))]
-
     def __init__(
         self, config: C, run: RunFolder, total: int, checkpoint_every: int, log_every: int = 1
     ) -> None:
-        self._config, self._run = config, run
+        self.config, self._run = config, run
         self._total, self._log_every, self._checkpoint_every = total, log_every, checkpoint_every
         torch.manual_seed(config.seed)
         self._rng = np.random.default_rng(config.seed)
         self.best = -np.inf
         self._returns: list[float] = []  # of the episodes since the last row of metrics
-        self._logged: float | None = None  # step of the last row of metrics
         self._clock = time.perf_counter(), 0
 
     def learn(self, journal: Journal, stopped: Callable[[], bool]) -> None:
-        """Train, from the checkpoint "last" if there is one, to the end or until stopped."""
-        if self._run.checkpoint("last").is_file():
-            self._resume()
-            journal.rewind(self.step)
-        else:
-            self._run.forget(self.COUNTERS[0], self._checkpoint_every)
-            self._forget()
-            self._begin()
+        """Train to the end or until stopped."""
         if self.finished:
             return
         self._clock = time.perf_counter(), self.step
@@ -211,11 +199,6 @@ class Runner(ABC, Generic[C]):
     def _begin(self) -> None:
         """Prepare a new run, as opposed to one that is resumed."""
 
-    def _forget(self) -> None:
-        """Empty what a run that was killed before its first checkpoint has written."""
-        for table in self.tables(self._run, self._config):
-            table.clear()
-
     def _state(self) -> dict[str, Any]:
         """Return more numbers for the checkpoint "last"."""
         return {}
@@ -232,7 +215,7 @@ class Runner(ABC, Generic[C]):
 
     @cached_property
     def _validator(self) -> "Validator":
-        return Validator(self._config.env, self._config.validation)
+        return Validator(self.config.env, self.config.validation)
 
     def _due(self, every: int, before: int) -> bool:
         """Return whether a multiple of `every` was reached since step `before`."""
@@ -247,13 +230,12 @@ class Runner(ABC, Generic[C]):
         if row or self._due(self._log_every, before):
             best = {"best": self.best} if np.isfinite(self.best) else {}
             journal.add({**self._row(), **row, **best})
-            self._logged = self.step
         if self._due(self._checkpoint_every, before):
             self._checkpoint()
 
     def _validates(self, before: int) -> bool:
         """Return whether a validation is due since step `before`."""
-        return self._due(self._config.validation.every, before)
+        return self._due(self.config.validation.every, before)
 
     def _validate(self) -> dict[str, float]:
         """Validate the policy, and save it as "best" if it is."""
@@ -283,26 +265,39 @@ class Runner(ABC, Generic[C]):
     def _checkpoint(self) -> None:
         """Save everything that resuming needs."""
         done = {"finished": self.finished, "share": self.share}
-        counters = {**self._counters(), "logged": self._logged, "returns": self._returns, **done}
-        state = {**counters, **self._state(), "rng": self._rng.bit_generator.state}
+        state = {**self._counters(), "returns": self._returns, **done, **self._state()}
+        state["rng"] = self._rng.bit_generator.state
         tensors = {**self.learner.tensors(), **self._tensors(), "torch_rng": torch.get_rng_state()}
-        for table in self.tables(self._run, self._config):
-            table.flush()
+        if self._run.metrics.is_file():
+            flush(self._run.metrics)  # a resumed run relies on its rows
         self._run.save("last", self.policy, state, tensors)
 
-    def _resume(self) -> None:
-        """Restore the checkpoint "last"."""
+    def begin(self) -> None:
+        """Prepare a new run, and write its first checkpoint."""
+        self._begin()
+        self._checkpoint()
+
+    def resume(self) -> None:
+        """Restore the checkpoint "last"; ConfigError where its network is another one."""
         state, tensors = self._run.load("last")
+        self._check_policy(state["policy"])
         self.learner.load(tensors)
         for name in self.COUNTERS:
             if not isinstance(getattr(type(self), name, None), property):
                 setattr(self, name, state[name])
         self.best = -np.inf if state["best"] is None else state["best"]
-        self._logged, self._returns = state["logged"], state["returns"]
+        self._returns = state["returns"]
         self._rng.bit_generator.state = state["rng"]
         self._restore(state, tensors)
         torch.set_rng_state(tensors["torch_rng"])  # last, as restoring may draw
         self._run.write_numbers("last", state)  # a kill may have come before them
+
+    def _check_policy(self, before: Mapping[str, Any]) -> None:
+        now = self.policy.spec()
+        fixed = set(now) - {"two_valued"}  # which training finds
+        if changed := sorted(name for name in fixed if before.get(name) != now[name]):
+            some = ", ".join(f"{name} is {before.get(name)!s:.80}" for name in changed)
+            raise ConfigError(f"a resumed run keeps its network, and in {self._run.path} {some}")
 
 
 class EnvRunner(Runner[C]):
@@ -377,7 +372,7 @@ class Validator:
         running = episodes
         while running:
             observation = np.stack([episode.observation for episode in running])
-            latent = policy.latent(torch.from_numpy(observation).float())
+            latent = policy.latent(torch.from_numpy(observation).float().to(policy.device))
             actions = policy.env_action(latent.mean)
             rates.append([float(rate) for rate in latent.rates])
             running = [

@@ -8,24 +8,20 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import write_json
 from spikedeploy.trainers import ALGORITHMS, metrics_file
-from spikedeploy.trainers.config import C, RunConfig, amend, require_known, resolve
-from spikedeploy.trainers.policies import NetworkPolicy, Policy
+from spikedeploy.trainers.config import C, amend, require_known, resolve
 from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.run_folder import RunFolder, is_beginning, write_errors
+from spikedeploy.trainers.run_folder import RunFolder, write_errors
 from spikedeploy.trainers.runner import Runner
 
 
@@ -61,36 +57,22 @@ def train(
     """
     stopped = interrupt or Interrupt()
     torch.set_num_threads(1)  # more threads slow down matrices of this size, and other runs
-    if resume is not None and recipe is None:
-        recipe = str(RunFolder.find(resume, runs).settings()["recipe"])
+    if resume is not None:
+        run = RunFolder.find(resume, runs, recipe or "")
+        with run.locked():
+            runner = _resumed(run, recipe, env, config_file, overrides, budget)
+            _learn(runner, run, quiet, stopped, watch)
+        return run.path
     if recipe is None:
         raise ConfigError("name a recipe to train, or a run to resume")
     world = f". To train in it: `spikedeploy train {shlex.quote(recipe)} --recipe ppo-snn`"
     remedy = world if ":" in recipe or re.search(r"-v\d+$", recipe) else ""
     kind = algorithm(RECIPES[require_known(recipe, RECIPES, "recipe", remedy)].algorithm)
-    changes: dict[str, Any] = {"file": config_file, "overrides": [*_named(recipe, env), *overrides]}
-    if resume is not None:
-        run = RunFolder.find(resume, runs, recipe)
-        with run.locked():
-            before = run.settings()
-            if before["recipe"] != recipe:
-                raise ConfigError(f"{run.path} is a run of '{before['recipe']}', not of '{recipe}'")
-            if env not in (None, there := before["env"]["name"]):
-                raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
-            former = run.config(kind.Config)
-            config = _budgeted(amend(former, **changes), budget)
-            _check_network(run.path, former, config)
-            run.sweep()
-            state = _check_left(run, kind, config)
-            with _written(run, config):
-                runner = kind(config, run)
-                _check_sizes(run.path, state, runner.policy)
-            _learn(runner, config, run, quiet, stopped, watch)
-            if config != former and runner.step == state.get(kind.COUNTERS[0]) and runner.finished:
-                write_json(run.path / "config.json", before)  # nothing was trained with the other
-                print(f"{run.path} was trained, and keeps its configuration", file=sys.stderr)
-        return run.path
-    config = _budgeted(resolve(kind.Config, recipe, seed=seed, **changes), budget)
+    config = resolve(
+        kind.Config, recipe, seed=seed, file=config_file,
+        overrides=[*_env_override(recipe, env), *overrides],
+    )  # fmt: skip
+    config = _with_paths(_budgeted(config, budget))
     if not config.env.name:
         raise ConfigError(
             f"{recipe} trains in any environment: name one, as in "
@@ -98,14 +80,45 @@ def train(
         )
     if remark := check_repeats(config.env.name, config.env.options):  # unknown ones are refused
         print(remark, file=sys.stderr)
-    config = _with_paths(config)
     run = RunFolder.create(runs, config)
-    with run.locked(), _removed_if_refused(run):
-        _learn(kind(config, run), config, run, quiet, stopped, watch)
+    with run.locked():
+        try:
+            runner = kind(config, run)
+            run.write_config(runner.config)
+            _learn(runner, run, quiet, stopped, watch)
+        except BaseException:  # Ctrl-C too
+            if not run.begun:
+                shutil.rmtree(run.path)
+            raise
     return run.path
 
 
-def _named(recipe: str, env: str | None) -> list[str]:
+def _resumed(
+    run: RunFolder,
+    recipe: str | None,
+    env: str | None,
+    config_file: str | Path | None,
+    overrides: Iterable[str],
+    budget: str | None,
+) -> Runner[Any]:
+    """Return the runner of a run at its last checkpoint, its settings changed as asked for."""
+    before = run.settings()
+    if recipe not in (None, before["recipe"]):
+        raise ConfigError(f"{run.path} is a run of '{before['recipe']}', not of '{recipe}'")
+    if env not in (None, there := before["env"]["name"]):
+        raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
+    kind = algorithm(before["algorithm"])
+    config = amend(run.config(kind.Config), file=config_file, overrides=overrides)
+    run.sweep()
+    runner: Runner[Any] = kind(_budgeted(config, budget), run)
+    if run.begun:  # else it was killed before anything was learned
+        runner.resume()
+    if not runner.finished:  # else nothing is trained with other settings
+        run.write_config(runner.config)
+    return runner
+
+
+def _env_override(recipe: str, env: str | None) -> list[str]:
     """Return the override that names the environment of a recipe for any."""
     if env is None:
         return []
@@ -127,87 +140,13 @@ def _budgeted(config: C, budget: str | None) -> C:
 
 
 def _with_paths(config: C) -> C:
-    """Return the configuration with run names replaced by their folders, as names can change."""
-    from spikedeploy.trainers.distill.teachers import find_shipped
-
-    found = {}
-    for key in ("teacher", "start", "pool"):
-        name = str(getattr(config, key, ""))
-        short = find_shipped(name) is None and not is_target(name) and is_beginning(name)
-        if name == "last" or short:
-            found[key] = str(RunFolder.find(name).path)
-    return config.model_copy(update=found)
-
-
-@contextmanager
-def _removed_if_refused(run: RunFolder) -> Iterator[None]:
-    """Remove a new run folder where its training is refused before anything was learned."""
-    try:
-        yield
-    except BaseException:  # Ctrl-C too
-        learned = any((run.path / "checkpoints").iterdir())
-        if not learned and not (run.metrics.is_file() and metrics_file.read(run.metrics)):
-            shutil.rmtree(run.path)
-        raise
-
-
-def _check_network(path: Path, former: RunConfig, config: RunConfig) -> None:
-    """Refuse a run to be resumed with another network than it was begun with."""
-    before, now = former.policy.model_dump(), config.policy.model_dump()
-    if changed := [name for name in now if before.get(name) != now[name]]:
-        some = ", ".join(f"policy.{name} is {before.get(name)}" for name in changed)
-        raise ConfigError(f"a resumed run keeps its network, and in {path} {some}")
-
-
-def _check_sizes(path: Path, state: Mapping[str, Any], policy: Policy) -> None:
-    """Refuse a run to be resumed in an environment whose observations or actions are others."""
-    for name in ("observations", "actions") if state else ():
-        began, found = state["policy"].get(name), getattr(policy, name)
-        if began not in (None, found):
-            raise ConfigError(
-                f"a resumed run keeps its network, and in {path} it has {began} {name}; with these "
-                f"settings of env there are {found}"
-            )
-    if not state or not isinstance(policy, NetworkPolicy):
-        return
-    # numbers that are not trained are those of the checkpoint
-    now = policy.spec()
-    if any(state["policy"].get(name) != now[name] for name in ("network", "reset", "at_threshold")):
-        raise ConfigError(
-            f"a resumed run keeps its network, and that of policy.network is another now than in "
-            f"{path}: bring its module or file back as it was"
-        )
-
-
-@contextmanager
-def _written(run: RunFolder, config: RunConfig) -> Iterator[None]:
-    """Write the configuration of a run to be resumed; the former one where it is refused."""
-    before = run.settings()
-    run.write_config(config)
-    try:
-        yield
-    except Exception:
-        write_json(run.path / "config.json", before)
-        raise
-
-
-def _check_left(run: RunFolder, kind: type[Runner[Any]], config: RunConfig) -> dict[str, Any]:
-    """Refuse a run to be resumed whose tables are damaged, or whose last weights are missing.
-
-    Return the numbers of its last checkpoint; without one it starts from the beginning.
-    """
-    run.check_weights("last")
-    if not run.checkpoint("last").is_file():
-        return {}
-    state, _ = run.load("last")
-    for table in kind.tables(run, config):
-        table.check(state[kind.COUNTERS[0]], state)
-    return state
+    """Return the configuration with "last" replaced by its run folder, as the last run changes."""
+    named = (key for key in ("teacher", "start", "pool") if getattr(config, key, "") == "last")
+    return config.model_copy(update={key: str(RunFolder.find("last").path) for key in named})
 
 
 def _learn(
     runner: Runner[Any],
-    config: RunConfig,
     run: RunFolder,
     quiet: bool,
     stopped: Interrupt,
@@ -215,8 +154,12 @@ def _learn(
 ) -> None:
     """Run the algorithm under a progress bar until it ends or is stopped, then draw its curve."""
     with ProgressBar(run.path.name, quiet) as stopped.bar, stopped:
-        journal = Journal(run, runner.columns(config), stopped.bar, watch)
+        journal = Journal(run, runner.columns(runner.config), stopped.bar, watch)
         try:
+            if run.begun:
+                journal.rewind(runner.step)
+            else:
+                runner.begin()
             runner.learn(journal, stopped)
         finally:
             journal.close()

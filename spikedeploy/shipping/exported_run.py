@@ -27,8 +27,9 @@ def runnable(reference: str) -> str:
     to = run_record.format_of(run)
     name = run_record.deployed_checkpoint(run)
     checkpoint = folder.checkpoint(name)
+    if folder.begun and not checkpoint.is_file():
+        folder.load(name)  # which says what is missing
     if not checkpoint.is_file():
-        folder.check_weights(name)
         raise ConfigError(
             f"{run} has no checkpoint yet: train it further, --resume {shlex.quote(run.name)}"
         )

@@ -23,7 +23,7 @@ from spikedeploy.trainers.config import (
 )
 from spikedeploy.trainers.policies import MlpPolicy, PopsanPolicy, from_config
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sac import SacConfig
 from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.sparse_ppo import SparsePpoConfig
 from tests import toy_stroll_env

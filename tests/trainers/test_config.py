@@ -5,7 +5,7 @@ from spikedeploy.trainers import ALGORITHMS
 from spikedeploy.trainers.config import Ramp, differences, parse_override, resolve
 from spikedeploy.trainers.ppo import PpoConfig
 from spikedeploy.trainers.recipes import RECIPES
-from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sac import SacConfig
 from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.sparse import with_budget
 from spikedeploy.trainers.sparse.sparse_ppo import SparsePpoConfig

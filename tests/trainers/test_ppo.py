@@ -60,18 +60,6 @@ def test_it_learns_within_seconds_with_every_head_and_code(recipe, settings, tmp
         assert (policy(seen) - seen).abs().mean() < 0.45
 
 
-@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
-def test_episodes_are_written_with_the_step_at_which_they_ended(tmp_path, world):
-    run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
-    episodes = read(run / "episodes.csv")
-    # eight copies, stepped in turn, end together every ten steps of each
-    assert [row["env_steps"] for row in episodes[:9]] == [*range(73, 81), 153]
-    assert all(row["steps"] == 10 for row in episodes)
-    assert not any("success" in row for row in episodes)  # which this world does not tell
-    finishes = sum(row["finish"] for row in episodes)
-    assert read(run / "metrics.csv")[-1]["finishes"] == finishes > 0
-
-
 def test_a_random_code_is_learned_from_the_spikes_that_were_acted_on():
     torch.manual_seed(0)
     policy = build(
@@ -98,17 +86,6 @@ def test_the_normaliser_is_updated_until_it_is_frozen(tmp_path, world):
         learner.collect()
     assert torch.equal(seen[0], torch.ones(2))
     assert not torch.equal(seen[1], seen[0])
-
-
-@pytest.mark.parametrize("content", [b"\x00" * 90, b"1,2,3\n"])
-@pytest.mark.parametrize("world", [QuadrantEnv], indirect=True)
-def test_a_run_with_damaged_episodes_is_not_resumed(content, tmp_path, world):
-    run = train("smoke-kart", overrides=[*QUICK, *SPIKING], runs=tmp_path, quiet=True)
-    (run / "episodes.csv").write_bytes(content)
-    with pytest.raises(ConfigError, match=r"episodes\.csv is damaged: .*move it away"):
-        train("smoke-kart", resume=run, quiet=True)
-    (run / "episodes.csv").unlink()
-    train("smoke-kart", resume=run, quiet=True)
 
 
 def test_sac_refuses_discrete_actions(tmp_path):

@@ -24,7 +24,7 @@ from spikedeploy.trainers.metrics_file import read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.progress import Journal, ProgressBar
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
-from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sac import SacConfig
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.trainers.test_resume import SAC, After, resumed
@@ -75,16 +75,11 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, world):
     before = (run / "checkpoints" / "last.safetensors").read_bytes()
     train("smoke", resume=run, runs=tmp_path, quiet=True)
     assert (run / "checkpoints" / "last.safetensors").read_bytes() == before
-    with pytest.raises(ConfigError, match=r"replay.*missing"):
-        train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
-
-
-def test_where_nothing_is_left_to_train_the_configuration_stays(tmp_path, world, capsys):
-    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
-    before = (run / "config.json").read_bytes()
+    settings = (run / "config.json").read_bytes()
     train("smoke", resume=run, overrides=["steps=300"], runs=tmp_path, quiet=True)
-    assert (run / "config.json").read_bytes() == before
-    assert "was trained, and keeps its configuration" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="has no replay"):
+        train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
+    assert (run / "config.json").read_bytes() == settings
 
 
 @pytest.mark.parametrize(
@@ -126,13 +121,13 @@ def test_the_last_run_is_the_newest_with_a_checkpoint(tmp_path):
 
 
 def test_a_start_that_is_interrupted_leaves_no_run_folder(tmp_path, world, monkeypatch):
-    from spikedeploy.trainers.sac.sac import Sac
+    from spikedeploy.trainers.sac import Sac
 
-    def interrupted(self, stopped):
+    def interrupted(self):
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(Sac, "_iterate", interrupted)
+    monkeypatch.setattr(Sac, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
         train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     assert list(tmp_path.iterdir()) == []
@@ -269,31 +264,19 @@ def test_a_training_that_is_refused_leaves_no_run_folder(tmp_path, world):
         assert list(tmp_path.iterdir()) == [whole]
 
 
-def test_a_resumed_run_that_is_refused_keeps_its_configuration(tmp_path, world):
-    run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
-    before = (run / "config.json").read_bytes()
-    (run / "metrics.csv").write_bytes(b"\x89\xff")
-    with pytest.raises(ConfigError, match="is damaged"):
-        train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
-    assert (run / "config.json").read_bytes() == before
-
-
-def test_a_resumed_run_keeps_its_network(interrupted):
-    with pytest.raises(ConfigError, match=r"keeps its network, .* policy.hidden is \("):
-        train("smoke", resume=interrupted, overrides=["policy.hidden=[7]"], quiet=True)
-
-
-def test_a_resumed_run_keeps_the_size_of_what_it_sees(interrupted, monkeypatch):
+@pytest.mark.parametrize("change", ["policy.hidden=[7]", "env.options.width=7"])
+def test_a_resumed_run_keeps_its_network_and_settings(change, interrupted, monkeypatch):
     class Wider(PointingEnv):
         observation_space = Box(-1.0, 1.0, (7,), np.float64)
 
         def _draw(self):
             return np.zeros(7)
 
-    monkeypatch.setattr(envs, "make", lambda name, **options: Wider())
+    if "width" in change:
+        monkeypatch.setattr(envs, "make", lambda name, **options: Wider())
     before = (interrupted / "config.json").read_bytes()
-    with pytest.raises(ConfigError, match=r"has 2 observations; .* env there are 7"):
-        train("smoke", resume=interrupted, overrides=["env.options.width=7"], quiet=True)
+    with pytest.raises(ConfigError, match=r"keeps its network, .* (hidden|observations) is"):
+        train("smoke", resume=interrupted, overrides=[change], quiet=True)
     assert (interrupted / "config.json").read_bytes() == before
 
 
@@ -304,40 +287,15 @@ def interrupted(tmp_path, world):
     return train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
 
 
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda old: b"\x89\xfe\x00" * 50, "no table of numbers"),
-        (lambda old: b"", "no table of numbers"),
-        (lambda old: old.split(b"\n", 1)[1], "its first line is not the names of its columns"),
-        (lambda old: old[:-9], "its rows end at 120, and .* to 160"),
-        (lambda old: old.replace(b",,", b",", 1), "is cut off"),
-        (lambda old: b"\n".join(old.split(b"\n")[:3]) + b"\n", "its rows end at 80, and .* to 160"),
-        (
-            lambda old: old.replace(b"env_steps,", b"env_steps,odd_", 1),
-            "not the names of its columns",
-        ),
-    ],
-)
-def test_damaged_metrics_are_refused_with_what_can_be_done(damage, message, interrupted):
+def test_damaged_metrics_are_refused_and_missing_ones_begin_anew(interrupted):
     file = interrupted / "metrics.csv"
-    file.write_bytes(damaged := damage(file.read_bytes()))
-    with pytest.raises(ConfigError, match=rf"metrics\.csv is damaged: .*{message}") as error:
+    file.write_bytes(damaged := b"env_steps,updates\n1,2,3\n")
+    with pytest.raises(ConfigError, match=r"metrics\.csv is no table of numbers"):
         train("smoke", resume=interrupted, quiet=True)
-    assert "move it away: then a new one begins at 1" in str(error.value)
     assert file.read_bytes() == damaged
-
-
-def test_without_metrics_a_resumed_run_says_that_rows_begin_anew(interrupted, capsys):
-    file, step = interrupted / "metrics.csv", last(interrupted)["env_steps"]
     file.unlink()
-    stopped = [f"steps={step}"]  # nothing is left to do, so that there are no rows yet
-    for overrides in (stopped, ["steps=400"]):
-        train("smoke", resume=interrupted, overrides=overrides, quiet=True)
-        assert f"metrics.csv has no rows: they begin at {step} env steps" in capsys.readouterr().err
-    assert read(file)[0]["env_steps"] > step
     train("smoke", resume=interrupted, quiet=True)
-    assert capsys.readouterr().err == ""
+    assert read(file)[0]["env_steps"] > last(interrupted)["env_steps"] / 3
 
 
 def test_a_picture_of_damaged_metrics_is_refused_by_name(tmp_path):
@@ -364,7 +322,7 @@ def flip(path, part):
 def test_a_flipped_bit_of_a_checkpoint_is_found(name, part, run):
     flip(RunFolder(run).checkpoint(name), part)
     other = {"last": "best", "best": "last"}[name]
-    with pytest.raises(ConfigError, match=rf"{name}\.safetensors is not .*--checkpoint {other}"):
+    with pytest.raises(ConfigError, match=rf"{name}\.safetensors is not .*Put the file back"):
         load_policy(run, name)
     load_policy(run, other)
 
@@ -374,23 +332,11 @@ def test_a_run_without_its_weights_is_neither_trained_from_the_beginning_nor_cha
     for path in (run / "checkpoints").glob("*.safetensors"):
         path.unlink()
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    with pytest.raises(ConfigError, match=r"last\.safetensors is missing, .* cannot be resumed"):
+    with pytest.raises(ConfigError, match=r"last\.safetensors is missing"):
         train(None, resume=run, overrides=["steps=303"], quiet=True)
-    with pytest.raises(ConfigError, match=r"best\.safetensors is missing, .*train again"):
+    with pytest.raises(ConfigError, match=r"best\.safetensors is missing.*train again"):
         load_policy(run, "best")
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
-
-
-@pytest.mark.parametrize("damage", ["flip", "half"])
-def test_a_damaged_replay_is_named_and_the_policies_are_whole(damage, run):
-    replay = RunFolder(run).replay
-    if damage == "flip":
-        flip(replay, 0.7)
-    else:
-        replay.write_bytes(replay.read_bytes()[: replay.stat().st_size // 2])
-    with pytest.raises(ConfigError, match=r"replay\.safetensors is damaged.*spikedeploy export"):
-        resumed(run)
-    load_policy(run)
 
 
 def test_a_configuration_that_was_cut_off_is_refused(run):
@@ -417,14 +363,13 @@ def test_a_row_that_a_full_disk_cut_off_after_the_checkpoint_is_dropped(run):
 
 
 def test_what_a_kill_left_of_unfinished_files_is_deleted_and_exports_stay(run):
-    ours = [run / ".config.json.77.part", run / "checkpoints" / ".last.safetensors.77.part"]
-    ours.append(run / ".report.html.0a1b2c-77.part")
+    ours = run / "checkpoints" / ".last.safetensors.77.part"
     other = run / ".net.nir.77.part"
-    for path in (*ours, other):
+    for path in (ours, other):
         path.write_bytes(b"half")
     resumed(run)
     assert other.is_file()
-    assert not any(path.exists() for path in ours)
+    assert not ours.exists()
 
 
 def test_a_run_that_is_trained_can_be_read_and_not_resumed(run):

@@ -10,14 +10,15 @@ from spikedeploy.trainers.metrics_file import read
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.runner import Validator
-from spikedeploy.trainers.sac.learner import (
+from spikedeploy.trainers.sac import (
     GaussianActor,
     ReplayBatch,
     ReplayBuffer,
     SacConfig,
     SacLearner,
+    check_shaping,
+    shape_reward,
 )
-from spikedeploy.trainers.sac.sac import check_shaping, shape_reward
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import QUICK, PointingEnv
 
@@ -172,9 +173,22 @@ def test_a_learned_temperature_is_part_of_a_checkpoint():
     assert first.temperature.value == second.temperature.value != 0.05
 
 
-def test_a_temperature_of_zero_cannot_be_learned():
-    with pytest.raises(ConfigError, match="begin above 0"):
-        learner("learn_temperature=true", "temperature.start=0")
+@pytest.mark.parametrize(("settings", "word"), [
+    (["learn_temperature=true", "temperature.start=0"], "begin above 0"),
+    (["precision=bfloat16", "device=cuda"], "precision=float32"),
+    pytest.param(["device=cuda"], "no CUDA device", marks=pytest.mark.skipif(
+        torch.cuda.is_available(), reason="there is a CUDA device")),
+])  # fmt: skip
+def test_what_cannot_be_trained_is_refused(settings, word):
+    with pytest.raises(ConfigError, match=word):
+        learner(*settings)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_it_learns_on_a_gpu(tmp_path, pointing):
+    overrides = [*QUICK, "device=cuda", "precision=float32"]
+    run = train("smoke", overrides=overrides, runs=tmp_path, quiet=True)
+    assert max(row.get("eval_return", 0) for row in read(run / "metrics.csv")) > 5.0
 
 
 def fill(buffer, numbers):
@@ -201,12 +215,17 @@ def test_a_sample_keeps_transitions_together():
     assert (batch.following == number[:, None] + 0.5).all()
 
 
-@pytest.mark.parametrize("count", [3, 4, 6, 7])
-def test_what_is_saved_comes_back_in_its_places(count, tmp_path):
-    buffer, copy = ReplayBuffer(4, 3, 2), ReplayBuffer(4, 3, 2)
+def taken_up(buffer, capacity):
+    copy = ReplayBuffer(capacity, 3, 2)
+    copy.load(buffer.tensors()["replay"].numpy(), buffer.next)
+    return copy
+
+
+@pytest.mark.parametrize("count", [0, 3, 4, 6, 7])
+def test_what_is_saved_comes_back_in_its_places(count):
+    buffer = ReplayBuffer(4, 3, 2)
     fill(buffer, range(count))
-    path = tmp_path / "replay.safetensors"
-    copy.load(path, buffer.save(path))
+    copy = taken_up(buffer, 4)
     for each in (9, 10):
         assert np.array_equal(copy.rows, buffer.rows)
         assert (copy.size, copy.next) == (buffer.size, buffer.next)
@@ -214,39 +233,14 @@ def test_what_is_saved_comes_back_in_its_places(count, tmp_path):
         fill(copy, [each])
 
 
-def test_what_is_saved_comes_back_oldest_first_in_a_ring_of_another_size(tmp_path):
+def test_what_is_saved_comes_back_oldest_first_in_a_ring_of_another_size():
     buffer = ReplayBuffer(4, 3, 2)
     fill(buffer, range(6))
-    path = tmp_path / "replay.safetensors"
-    checksum = buffer.save(path)
     for capacity, expected in ((3, [3, 4, 5]), (6, [2, 3, 4, 5])):
-        copy = ReplayBuffer(capacity, 3, 2)
-        copy.load(path, checksum)
+        copy = taken_up(buffer, capacity)
         assert held(copy) == expected
     fill(copy, [6])
     assert held(copy) == [2, 3, 4, 5, 6]
-
-
-def cut(part):
-    return lambda path: path.write_bytes(path.read_bytes()[: int(part * path.stat().st_size)])
-
-
-@pytest.mark.parametrize(
-    ("damage", "observations", "message"),
-    [
-        (cut(0.0), 3, r"replay\.safetensors is damaged.*its policies are whole"),
-        (cut(0.5), 3, r"replay\.safetensors is damaged.*its policies are whole"),
-        (lambda path: None, 4, r"\(4, 10\), and this task has 12 numbers"),
-        (lambda path: path.unlink(), 3, "is missing"),
-    ],
-)
-def test_a_replay_that_cannot_be_taken_up_is_named(damage, observations, message, tmp_path):
-    buffer, path = ReplayBuffer(4, 3, 2), tmp_path / "replay.safetensors"
-    fill(buffer, range(4))
-    checksum = buffer.save(path)
-    damage(path)
-    with pytest.raises(ConfigError, match=message):
-        ReplayBuffer(4, observations, 2).load(path, checksum)
 
 
 def test_updates_see_the_reward_with_the_extra_weights():

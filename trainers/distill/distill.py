@@ -191,10 +191,10 @@ class Distill(Runner[DistillConfig]):
         return len(self.dataset)
 
     def _begin(self) -> None:
-        self.teacher_return = score(self._teacher, self._config.env, self._config.validation)
+        self.teacher_return = score(self._teacher, self.config.env, self.config.validation)
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
-        config = self._config
+        config = self.config
         # the updates for the iterations collected so far are done
         due = self.iterations <= self.updates * config.iterations // config.updates
         if due and not self._collect(stopped):
@@ -207,13 +207,13 @@ class Distill(Runner[DistillConfig]):
     def _collect(self, stopped: Callable[[], bool]) -> bool:
         """Collect the labelled states of an iteration; return whether it was not stopped."""
         student = policy_teacher(self.policy)
-        found = collect(self._config, self.iterations, self._teacher, student, stopped)
+        found = collect(self.config, self.iterations, self._teacher, student, stopped)
         if found is None:
             return False
         observation, label, self._returns = found
         self.dataset.add(observation, label)
         self.iterations += 1
-        if self.iterations == 1 or self.env_steps <= self._config.normaliser.finish:
+        if self.iterations == 1 or self.env_steps <= self.config.normaliser.finish:
             seen = self.dataset.observation.double().numpy()
             self.policy.normalizer.adopt(Moments.from_batch(seen))
         return True

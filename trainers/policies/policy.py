@@ -56,6 +56,11 @@ class Policy(nn.Module):
         """Limit of normalised observations [standard deviations]."""
         return self.normalizer.clip
 
+    @property
+    def device(self) -> torch.device:
+        """The device that it computes on."""
+        return self.normalizer.mean.device
+
     def spec(self) -> dict[str, Any]:
         """Return the arguments from which `build` makes an equal policy, for JSON."""
         found = {name: getattr(self, name) for name in signature(type(self)).parameters}
@@ -81,7 +86,7 @@ class Policy(nn.Module):
     def env_action(self, mean: Tensor) -> NDArray[Any]:
         """Return the deterministic action of `Latent.mean` as environments take it."""
         action = self.decide(mean)
-        return (action.double() if action.is_floating_point() else action).numpy()
+        return (action.double() if action.is_floating_point() else action).cpu().numpy()
 
     def sample_encoding(self, observation: Tensor) -> Tensor:
         """Return spikes (B, ...) drawn by a random encoder; without one, the observation.
@@ -127,7 +132,7 @@ class TorchNormaliser(nn.Module):
     def adopt(self, moments: "Moments") -> None:
         """Use the mean and standard deviation of these statistics."""
         for buffer, found in ((self.mean, moments.mean), (self.std, moments.std)):
-            buffer.copy_(torch.from_numpy(found).float(), non_blocking=True)  # also to a GPU
+            buffer.copy_(torch.from_numpy(found).float())
 
 
 @dataclass

@@ -81,10 +81,11 @@ class TorchRateEncoder(nn.Module):
         """Return spikes (T, B, obs) of normalised observations (B, obs)."""
         levels = self.levels(observation)
         if self.mode == "bernoulli":
-            drawn = torch.randint(_LEVELS, (timesteps, *levels.shape))
+            drawn = torch.randint(_LEVELS, (timesteps, *levels.shape), device=levels.device)
             return (drawn < levels).to(observation.dtype)
         # the carries of an 8-bit accumulator that starts half full
-        clock = torch.arange(timesteps + 1, dtype=levels.dtype)[:, None, None]
+        ticks = torch.arange(timesteps + 1, dtype=levels.dtype, device=levels.device)
+        clock = ticks[:, None, None]
         # c[t] = floor((n t + 128) / 256) ; s[t] = c[t + 1] - c[t]
         carries = ((clock * levels + _LEVELS // 2) / _LEVELS).floor_()
         return (carries[1:] - carries[:-1]).to(observation.dtype)

@@ -1,6 +1,6 @@
 """Sparse policies: a teacher imitated through whole walks by students that are pruned in rounds.
 
-walks.py              whole walks: collected, on disk, their events, and windows of them
+walks.py              whole walks: collected, in checkpoints, their events, and windows of them
 settings.py           settings
 phases.py             phases of a training: planned for a budget, or found one after another
 student.py            what learns and is pruned: its loss, its synapses, its numbers on the chip

@@ -46,12 +46,10 @@ from spikedeploy.trainers.sparse.walks import (
     Stateless,
     Walk,
     WalkPool,
-    load_walks,
     mean_outcome,
-    own_walks,
-    pool_file,
     random_actions,
-    save_walks,
+    walk_tensors,
+    walks_of,
 )
 
 _ENV_COPIES = 50  # copies of the environment
@@ -90,8 +88,8 @@ def with_budget(config: C, text: str) -> C:
 class Sparse(Runner[SparseConfig]):
     """One training by sparse imitation.
 
-    updates, phase, start, collections: counters, continued by a resumed run; `start` are the
-        operations when the phase began, `collections` the files of walks
+    updates, phase, start: counters, continued by a resumed run; `start` are the operations when the
+        phase began
     pool: all walks so far
     teacher_return, random_return: mean return of the teacher, and of random actions, on the
         validation seeds
@@ -105,7 +103,7 @@ class Sparse(Runner[SparseConfig]):
         "eval_falls", "eval_finish", "eval_missteps", "eval_success",
     )  # fmt: skip
     COUNTERS = (
-        "updates", "phase", "start", "collections", "teacher_return", "random_return", "kept",
+        "updates", "phase", "start", "teacher_return", "random_return", "kept",
     )  # fmt: skip
     SPEED = "updates_per_s"
     VALIDATES_AT_END = RATES = False
@@ -130,9 +128,8 @@ class Sparse(Runner[SparseConfig]):
         self.pool = WalkPool()
         self._student = student(self.policy, config)
         self.learner = SparseLearner(config, self._student)
-        self.updates = self.phase = self.collections = 0
+        self.updates = self.phase = 0
         self.start = 0.0
-        self._sums: list[str] = []  # checksums of the files of walks
         self._shares: list[float] = []  # of the validations of the phase
         self.kept = 0.0
         self.teacher_return = self.random_return = self._loss = math.nan
@@ -140,7 +137,7 @@ class Sparse(Runner[SparseConfig]):
 
     def _begin(self) -> None:
         """Collect walks of the teacher; fit the normaliser and the encoder to them."""
-        config = self._config
+        config = self.config
         taken = _walks_of(config, self._sizes) if config.pool else []  # refused before walks
         taught = Stateless(self._taught)
         self.teacher_return, self.random_return = self._references(config.validation.seeds)
@@ -153,7 +150,7 @@ class Sparse(Runner[SparseConfig]):
         if config.search:
             self._confirming = self._references(config.confirming)
         if taken:
-            self._keep(taken)
+            self.pool.add(taken)
         if config.teacher_walks:
             self._collect(taught, config.teacher_walks)
         if config.noisy_walks:
@@ -163,7 +160,7 @@ class Sparse(Runner[SparseConfig]):
 
     def _references(self, seeds: list[int]) -> tuple[float, float]:
         """Return the mean returns of the teacher, and of random actions, on these seeds."""
-        rng = np.random.default_rng(self._config.seed)
+        rng = np.random.default_rng(self.config.seed)
         at_random = random_actions(self._sizes[1], self._discrete, rng)
         both = (Stateless(self._taught), at_random)
         teacher, none = (float(np.mean(self._episodes.play(seeds, each)[1])) for each in both)
@@ -176,7 +173,7 @@ class Sparse(Runner[SparseConfig]):
         goal = phase.goal(self.updates, self.start)
         rate = phase.rate(self.updates)
         self._loss = self.learner.update(self.pool, self._rng, rate, dense=goal is None)
-        if goal is not None and self.updates % self._config.prune_every == 0:
+        if goal is not None and self.updates % self.config.prune_every == 0:
             if phase.prunes(self.updates):
                 self.learner.prune(goal)
             # from now on, the forward pass computes with the weights of the chip
@@ -189,10 +186,10 @@ class Sparse(Runner[SparseConfig]):
         # the validated policy collects: with the chip's numbers once training computes with them
         student = self._student
         walking = student.deployed(self._chip) if student.rounds else self.policy
-        self._collect(FloatController(walking), self._config.walks)
+        self._collect(FloatController(walking), self.config.walks)
         polished = self._phases[self.phase + 1].polish
         when = ("always",) if polished else ("always", "before-polish")
-        if self._config.retune in when:
+        if self.config.retune in when:
             student.retune(self.pool, self._binary)
         self._student.prepare(self.pool, self._binary)
         self.phase += 1
@@ -208,7 +205,7 @@ class Sparse(Runner[SparseConfig]):
 
     def _noisy(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """Return the teacher's actions with noise."""
-        action, noise = self._taught(observation), self._config.noise
+        action, noise = self._taught(observation), self.config.noise
         if self._discrete:
             drawn = self._rng.integers(self._teacher.actions, size=len(action))
             return np.where(self._rng.random(len(action)) < noise, drawn, action)
@@ -218,12 +215,6 @@ class Sparse(Runner[SparseConfig]):
         seeds = self._rng.integers(TRAINING_SEEDS, size=count).tolist()
         walks, returns, _ = self._episodes.play(seeds, controller, self._teacher.act_all)
         self._returns += returns
-        self._keep(walks)
-
-    def _keep(self, walks: list[Walk]) -> None:
-        # over what a run that was killed may have left after its last checkpoint
-        self._sums.append(save_walks(walks, pool_file(self._run.path, self.collections)))
-        self.collections += 1
         self.pool.add(walks)
 
     @torch.no_grad()
@@ -260,7 +251,7 @@ class Sparse(Runner[SparseConfig]):
 
     def _validate(self) -> dict[str, float]:
         """Validate the policy where its goal is reached, and save it as best of its level."""
-        phase, config = self._phases[self.phase], self._config
+        phase, config = self._phases[self.phase], self.config
         if phase.prunes(self.updates) or (phase.last is None and not config.search):
             return {}
         policy, references = (
@@ -286,10 +277,10 @@ class Sparse(Runner[SparseConfig]):
     def _end_phase(self, phase: Phase) -> None:
         """Decide whether a level of a search keeps the required share; plan the next phase."""
         share, count = max(self._shares), operations(self._student.synapses())
-        wanted = target(self._config, self._ended)
-        if phase.last is not None and not self._config.budget and share >= wanted:
+        wanted = target(self.config, self._ended)
+        if phase.last is not None and not self.config.budget and share >= wanted:
             policy = self._run.policy(f"{LEVEL}{phase.last:g}")
-            row = self._measure(policy, self._config.confirming, self._confirming)
+            row = self._measure(policy, self.config.confirming, self._confirming)
             share = row["eval_share"]
             if share >= wanted:
                 self.kept = phase.last
@@ -300,9 +291,9 @@ class Sparse(Runner[SparseConfig]):
 
     def _plan_on(self) -> None:
         """Plan the next phase of a search, or end it."""
-        self._phases = searched(self._config, self._ended)
+        self._phases = searched(self.config, self._ended)
         over = len(self._phases) == len(self._ended)
-        self._total = self._phases[-1].end if over else expected_updates(self._config, self._ended)
+        self._total = self._phases[-1].end if over else expected_updates(self.config, self._ended)
 
     def _metrics(self) -> dict[str, float]:
         return {
@@ -314,23 +305,22 @@ class Sparse(Runner[SparseConfig]):
         }
 
     def _state(self) -> dict[str, Any]:
-        search = {
+        if not self.config.search:
+            return {}
+        return {
             "ended": [vars(each) for each in self._ended],
             "shares": self._shares,
             "confirming": self._confirming,
         }
-        return {"pool_sha256": self._sums, **(search if self._config.search else {})}
 
     def _tensors(self) -> dict[str, Tensor]:
-        return {"binary": torch.from_numpy(self._binary)} if hasattr(self, "_binary") else {}
+        return {**walk_tensors(self.pool.walks), "binary": torch.from_numpy(self._binary)}
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        self._sums = state["pool_sha256"]
-        self.pool.add(own_walks(self._run.path, self._sums, self._sizes))
-        if "binary" in tensors:
-            self._binary = tensors["binary"].numpy()
+        self.pool.add(walks_of(tensors))
+        self._binary = tensors["binary"].numpy()
         self._student.prepare(self.pool, self._binary)
-        if self._config.search:
+        if self.config.search:
             self._ended = [Ended(**each) for each in state["ended"]]
             self._shares, self._confirming = state["shares"], tuple(state["confirming"])
             self._plan_on()
@@ -339,8 +329,8 @@ class Sparse(Runner[SparseConfig]):
 def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:
     """Return the walks of the run that the setting `pool` names."""
     run = RunFolder.find(config.pool)
-    files = sorted((run.path / "pool").glob("*.safetensors"))
-    if not files:
+    tensors = run.load("last")[1]
+    if "walks.length" not in tensors:
         raise ConfigError(f"{config.pool} has no pool of walks. Give a run of a sparse recipe.")
     source = run.settings()
     there, here = str(source["env"]["name"]), config.env.name
@@ -354,7 +344,10 @@ def _walks_of(config: SparseConfig, sizes: tuple[int, int]) -> list[Walk]:
             f"pool: {config.pool} has walks labelled by the teacher {labelled}, and the teacher "
             f"here is {config.teacher}. Give a run with this teacher, or set teacher={labelled}."
         )
-    return [walk for path in files for walk in load_walks(path, sizes)]
+    walks = walks_of(tensors)
+    if (found := (walks[0].observation.shape[1], walks[0].label.shape[1])) != sizes:
+        raise ConfigError(f"pool: {config.pool} has walks of sizes {found}, not {sizes}.")
+    return walks
 
 
 class SparseLearner(Learner):

@@ -184,7 +184,6 @@ class SparsePpo(Runner[SparsePpoConfig]):
         # the folder says which policy is in it
         more = {"policy": source.policy, "start": str(start.path.resolve())}
         config = config.model_copy(update=more)
-        run.write_config(config)
         super().__init__(config, run, config.iterations, config.checkpoint_every)
         self._source = source
         self._teacher = teacher(
@@ -204,11 +203,11 @@ class SparsePpo(Runner[SparsePpoConfig]):
         self._first = {**self._evaluate(), "eval_gain": 0.0}
         self.start_return = self.best = self._first["eval_return"]
         of_start = max(self._source.budget, self._first["eval_operations"])
-        self.allowed = self._config.budget or of_start
+        self.allowed = self.config.budget or of_start
         self._save_best(self.learner.student.deployed(self._chip), self._first)
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
-        config, learner = self._config, self.learner
+        config, learner = self.config, self.learner
         learner.schedule(self.iterations / max(self._total - 1, 1))
         learner.student.round(self._chip)
         controller = Exploring(learner.student.acting(), learner.head)
@@ -223,7 +222,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
 
     def _evaluate(self) -> dict[str, float]:
         controller = controller_of(self.learner.student.deployed(self._chip), self._chip)
-        _, returns, infos = self._episodes.play(self._config.validation.seeds, controller)
+        _, returns, infos = self._episodes.play(self.config.validation.seeds, controller)
         row = mean_outcome(returns, infos)
         return row | {
             "eval_operations": controller.operations(self._episodes.lengths),

@@ -1,23 +1,18 @@
-"""Whole walks: collected from environments, on disk, their events, and windows of them."""
+"""Whole walks: collected from environments, their events, and windows of them."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
 from torch import Tensor
 
 from spikedeploy import envs
 from spikedeploy.runtime.codec.delta import DeltaEncoder
-from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.config import EnvConfig
-from spikedeploy.trainers.run_folder import file_sha256, write_errors
+from spikedeploy.trainers.run_folder import with_prefix
 
 Single = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
@@ -36,7 +31,7 @@ class Walk:
     observation: (S, obs) raw, float32
     label: (S, act) the teacher's action, or its logits, in each of them; (S, 0) where not asked for
     crashed: whether it ended by a fall or crash
-    reward: (S,) float32; this and what follows is not on disk
+    reward: (S,) float32; this and what follows is not in checkpoints
     final: (obs,) observation after the last step, float32
     terminated: whether that was a terminal state, and not the time limit
     """
@@ -339,66 +334,23 @@ class WalkPool:
         return observation, label
 
 
-# -- the pool of a run on disk: a file of walks for each collection, checked when it is read
+# -- walks in a checkpoint
 
 
-def pool_file(run: Path, number: int) -> Path:
-    """Return the path of a collection's walks, whether or not it exists."""
-    return run / "pool" / f"{number:03d}.safetensors"
-
-
-def save_walks(walks: list[Walk], path: Path) -> str:
-    """Write walks as a safetensors file, atomically; return its checksum."""
+def walk_tensors(walks: Sequence[Walk]) -> dict[str, Tensor]:
+    """Return walks as tensors by name, for a checkpoint; of rewards nothing is kept."""
     arrays = {
         "observation": np.concatenate([walk.observation for walk in walks]),
         "label": np.concatenate([walk.label for walk in walks]),
         "length": np.array([len(walk.label) for walk in walks]),
         "crashed": np.array([walk.crashed for walk in walks]),
     }
-    with write_errors(path):
-        with replacing(path) as part:
-            save_file(arrays, part)
-        return file_sha256(path)
+    return {f"walks.{name}": torch.from_numpy(array) for name, array in arrays.items()}
 
 
-def load_walks(path: Path, sizes: tuple[int, int]) -> list[Walk]:
-    """Read what `save_walks` wrote: walks of so many observations and labels, all finite."""
-    try:
-        arrays = load_file(path)
-        lengths = arrays["length"]
-        if not len(lengths) or lengths.min() < 1 or arrays["crashed"].shape != lengths.shape:
-            raise ValueError(f"it has {lengths.size} lengths of walks")
-        for name, width in zip(("observation", "label"), sizes, strict=True):
-            shape, array = (int(lengths.sum()), width), arrays[name]
-            if array.dtype != np.float32 or array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(
-                    f"{name} is {array.dtype} {array.shape}, expected finite float32 {shape}"
-                )
-    except (SafetensorError, OSError, KeyError, ValueError) as error:
-        raise ConfigError(
-            f"{path} holds no walks of this task that can be read ({error}). Put the file back, or "
-            "train again."
-        ) from error
-    ends = np.cumsum(lengths)[:-1]
-    seen, labels = (np.split(arrays[name], ends) for name in ("observation", "label"))
-    return [Walk(*each) for each in zip(seen, labels, map(bool, arrays["crashed"]), strict=True)]
-
-
-def own_walks(run: Path, sums: Sequence[str], sizes: tuple[int, int]) -> list[Walk]:
-    """Return the walks of a run's collections, which have these checksums, to resume it."""
-    walks: list[Walk] = []
-    for number, checksum in enumerate(sums):
-        path = pool_file(run, number)
-        if not path.is_file():
-            raise ConfigError(
-                f"{path} is missing: {run} has learned from its walks and cannot go on without "
-                "them. Put the file back, or train again."
-            )
-        if file_sha256(path) != checksum:
-            raise ConfigError(
-                f"{path} is damaged: its content does not have the checksum in checkpoints/last. "
-                "Put the file back, or train again; the policies of the run are whole: "
-                f"`spikedeploy export {run}`."
-            )
-        walks += load_walks(path, sizes)
-    return walks
+def walks_of(tensors: Mapping[str, Tensor]) -> list[Walk]:
+    """Return the walks of a checkpoint."""
+    named = {name: tensor.numpy() for name, tensor in with_prefix("walks", tensors).items()}
+    ends = np.cumsum(named["length"])[:-1]
+    seen, labels = (np.split(named[name], ends) for name in ("observation", "label"))
+    return [Walk(*each) for each in zip(seen, labels, map(bool, named["crashed"]), strict=True)]

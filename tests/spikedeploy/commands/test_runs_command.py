@@ -7,10 +7,9 @@ import pytest
 
 from spikedeploy.commands.training import SortKey
 from spikedeploy.reports.runs import SORTS
-from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.exported_run import runnable, trained_in
 from spikedeploy.trainers.config import MlpConfig, PopsanConfig
-from spikedeploy.trainers.run_folder import RunFolder, find_run, is_beginning
+from spikedeploy.trainers.run_folder import RunFolder, find_run
 from tests import toy_stroll_env
 
 
@@ -75,30 +74,9 @@ def test_a_folder_without_runs_says_how_to_make_one(stroll, command):
     assert (code, "spikedeploy train" in out) == (0, True)
 
 
-def test_the_beginning_of_a_name_means_the_one_run_that_has_it(two):
-    (two / "walk-b").rename(two / "trot-b")
-    assert find_run("wal").name == "walk-a"
-    assert find_run("runs/tr").name == "trot-b"
-    assert RunFolder.find("tr").path.name == "trot-b"
-    assert runnable("tr").endswith("trot-b.nir")
-    assert trained_in("tr") == "stroll"
-    assert find_run("x") is find_run("") is None
-
-
-def test_a_name_is_not_taken_for_the_beginning_of_another(two):
-    (two / "walk-b").rename(two / "walk-a-1")
-    assert find_run("walk-a").name == "walk-a"
-    assert not is_beginning("walk-a")
-    assert is_beginning("walk-a-")
-    (two / "walk").mkdir()
-    assert find_run("walk") is None  # a folder that is there is meant itself
-
-
-def test_an_ambiguous_beginning_lists_the_runs(two, command):
-    with pytest.raises(ConfigError, match="beginning of 2 runs: runs/walk-a, runs/walk-b"):
-        find_run("walk")
-    asked = ("export walk", "run walk", "compare stroll walk", "train --resume walk",
-             "visualize walk")  # fmt: skip
-    for words in asked:
-        code, _, err = command(*words.split())
-        assert (code, "runs/walk-a, runs/walk-b" in err) == (2, True), words
+def test_a_name_means_the_run_of_this_folder_or_of_runs(two):
+    assert find_run("walk-a") == find_run("runs/walk-a")
+    assert RunFolder.find("walk-a").path.name == "walk-a"
+    assert runnable("walk-a").endswith("walk-a.onnx")
+    assert trained_in("walk-a") == "stroll"
+    assert find_run("walk") is find_run("") is None

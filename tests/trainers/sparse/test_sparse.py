@@ -12,12 +12,12 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import RunFolder
-from spikedeploy.trainers.sac.learner import SacConfig
+from spikedeploy.trainers.sac import SacConfig
 from spikedeploy.trainers.sparse.batch_controllers import controller_of
 from spikedeploy.trainers.sparse.phases import Ended, target
 from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.sparse import Sparse, with_budget
-from spikedeploy.trainers.sparse.walks import Episodes, Stateless, Walk, load_walks, save_walks
+from spikedeploy.trainers.sparse.walks import Episodes, Stateless, walks_of
 from spikedeploy.trainers.train import train
 from tests import toy_race_env, toy_stroll_env
 from tests.trainers.sparse.toy import settings
@@ -56,7 +56,13 @@ def learned(config, folder, until=END, run=None, rows=None):
     """A run folder, trained up to an update."""
     run = run or RunFolder.create(folder, config)
     rows = Rows() if rows is None else rows
-    Sparse(config, run).learn(rows, lambda: rows.count >= until)
+    runner = Sparse(config, run)
+    if run.begun:
+        runner.resume()
+        rows.rewind(runner.step)
+    else:
+        runner.begin()
+    runner.learn(rows, lambda: rows.count >= until)
     return run, rows
 
 
@@ -111,8 +117,7 @@ def assert_same(one, other):
 
 
 def walks_in(run):
-    files = sorted((run.path / "pool").iterdir())
-    walks = [walk for path in files for walk in load_walks(path, (3, 2))]
+    walks = walks_of(run.load("last")[1])
     return Counter(walk.observation.tobytes() for walk in walks)
 
 
@@ -121,10 +126,9 @@ def test_walks_of_another_run_are_taken_over(stroll, tmp_path):
     second, _ = learned(settings(teacher=stroll, pool=str(first.path), seed=1), tmp_path, until=1)
     assert walks_in(first) <= walks_in(second)
     assert walks_in(second).total() == 2 * walks_in(first).total()
-    (empty := tmp_path / "empty").mkdir()
-    (empty / "config.json").write_text("{}")
+    second.save("last", second.policy("last"), second.load("last")[0])
     with pytest.raises(ConfigError, match="no pool of walks"):
-        learned(settings(teacher=stroll, pool=str(empty)), tmp_path, until=1)
+        learned(settings(teacher=stroll, pool=str(second.path)), tmp_path, until=1)
 
 
 def test_walks_of_another_task_or_teacher_are_refused_before_anyone_walks(
@@ -142,43 +146,6 @@ def test_walks_of_another_task_or_teacher_are_refused_before_anyone_walks(
         with pytest.raises(ConfigError, match=message):
             learned(settings(teacher=teacher, pool=str(first.path)), tmp_path)
         (first.path / "config.json").write_text(json.dumps(written | {"env": {"name": "stroll"}}))
-
-
-def of_width(walks, observations, actions):
-    return [
-        Walk(np.resize(w.observation, (len(w.label), observations)),
-             np.resize(w.label, (len(w.label), actions)), w.crashed) for w in walks
-    ]  # fmt: skip
-
-
-def with_nan(walks):
-    walks[0].label[3, 1] = np.nan
-    return walks
-
-
-DAMAGES = [
-    (lambda path: path.unlink(), r"001\.safetensors is missing: .* train again"),
-    (lambda path: path.write_bytes(path.read_bytes()[:99]), r"001\.safetensors holds no walks"),
-    (lambda path: save_walks(of_width(load_walks(path, (3, 2)), 4, 2), path),
-     r"001\.safetensors holds no walks of this task .*observation is float32 \(\d+, 4\)"),
-    (lambda path: save_walks(of_width(load_walks(path, (3, 2)), 3, 1), path),
-     r"label is float32 \(\d+, 1\)"),
-    (lambda path: save_walks(with_nan(load_walks(path, (3, 2))), path),
-     r"001\.safetensors holds no walks .*expected finite float32"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("damage", "message"), DAMAGES)
-def test_a_missing_or_damaged_file_of_walks_is_named(damage, message, stroll, tmp_path):
-    run, _ = learned(settings(teacher=stroll), tmp_path, until=8)
-    damage(run.path / "pool" / "001.safetensors")
-    # the run that wrote it knows its checksum; others read what is in it
-    own = message if "missing" in message else "does not have the checksum in checkpoints/last"
-    with pytest.raises(ConfigError, match=own):
-        learned(settings(teacher=stroll), tmp_path, run=run)
-    if "missing" not in message:
-        with pytest.raises(ConfigError, match=message):
-            learned(settings(teacher=stroll, pool=str(run.path)), tmp_path)
 
 
 @pytest.mark.parametrize("policy", [POLICIES[0], POLICIES[2]])

@@ -1,25 +1,25 @@
-"""Soft actor-critic: settings, replay buffer, networks and their gradient update."""
+"""Soft actor-critic for continuous actions: off-policy, from a replay buffer.
+
+A run, its replay buffer, networks and their gradient update (Haarnoja et al. 2018).
+"""
 
 import copy
 import math
-import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
 from torch import Tensor, nn
 
+from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import replacing
 from spikedeploy.trainers.config import (
     Batch,
+    EnvConfig,
     Kept,
     Positive,
     Ramp,
@@ -28,10 +28,12 @@ from spikedeploy.trainers.config import (
     Share,
     Width,
 )
+from spikedeploy.trainers.env_batch import Steps
 from spikedeploy.trainers.neurons import excess_rate
+from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.policies.policy import Latent, Moments, Policy, full_precision
-from spikedeploy.trainers.run_folder import file_sha256, write_errors
-from spikedeploy.trainers.runner import Critic, Learner, adam
+from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam
 
 _AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
 _LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)
@@ -58,8 +60,8 @@ class SacConfig(RunConfig):
         metrics and the choice of the best checkpoint stay with the environment's own reward
     rate_penalty, rate_target: weight and threshold of the hinge on mean firing rates [spikes per
         neuron and timestep]; no effect on an MLP
-    device: where gradients are computed; environments and validation stay on the CPU. "cuda" is
-        worth it from layers of 256 on, and does not give the same bits twice
+    device: where networks and their gradients are computed; environments and the replay stay in
+        main memory. "cuda" does not give the same bits twice
     support_force: fraction of the full upward force on the robot, along environment steps
     """
 
@@ -96,6 +98,8 @@ class SacConfig(RunConfig):
             )
         if self.device == "cuda" and self.precision != "float32":
             raise ValueError("device: cuda computes in float32 here: set precision=float32 as well")
+        if self.device == "cuda" and not torch.cuda.is_available():
+            raise ValueError("device: this PyTorch finds no CUDA device; set device=cpu")
         return self
 
 
@@ -141,63 +145,33 @@ class ReplayBuffer:
         parts = (observation, action, reward[:, None], terminated[:, None], following)
         count, capacity = len(reward), len(self.rows)
         places = np.arange(self.next, self.next + count) % capacity
-        self._store(places, np.concatenate(parts, axis=1))
+        self.rows[places] = np.concatenate(parts, axis=1)
         self.next = (self.next + count) % capacity
         self.size = min(self.size + count, capacity)
 
-    def _store(self, places: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
-        """Put rows (B, all numbers of a transition) in their places (B,)."""
-        self.rows[places] = rows
-
-    def sample(self, count: int, rng: np.random.Generator) -> ReplayBatch:
+    def sample(
+        self, count: int, rng: np.random.Generator, device: torch.device | str = "cpu"
+    ) -> ReplayBatch:
         """Return transitions drawn uniformly with replacement."""
-        return self.split(torch.from_numpy(self.rows[rng.integers(self.size, size=count)]))
-
-    def split(self, rows: Tensor) -> ReplayBatch:
-        """Return the transitions of rows (B, all numbers of a transition)."""
+        rows = torch.from_numpy(self.rows[rng.integers(self.size, size=count)]).to(device)
         observation, action, reward, terminated, following = torch.split(rows, self.widths, dim=1)
         return ReplayBatch(observation, action, reward[:, 0], terminated[:, 0], following)
 
-    def save(self, path: Path) -> str:
-        """Write the transitions held, oldest first; return the file's checksum."""
-        start = self.next if self.size == len(self.rows) else 0
-        held = np.concatenate([self.rows[start : self.size], self.rows[:start]])
-        with write_errors(path):
-            with replacing(path) as temporary:
-                save_file({"rows": held, "next": np.array([self.next])}, temporary)
-            return file_sha256(path)
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the transitions held by name, for a checkpoint."""
+        return {"replay": torch.from_numpy(self.rows[: self.size])}
 
-    def load(self, path: Path, checksum: str) -> None:
-        """Load the transitions of a file with this checksum; the newest where they are too many."""
-        if not path.is_file():
-            raise ConfigError(
-                f"{path} is missing: resuming a run needs its replay, which a finished run no "
-                "longer has. Start a new run with more steps."
-            )
-        try:
-            if file_sha256(path) != checksum:
-                raise ValueError("its content does not have the checksum in checkpoints/last")
-            arrays = load_file(path)
-            held, place = arrays["rows"], int(arrays["next"][0])
-            if held.dtype != np.float32 or held.shape[1:] != self.rows.shape[1:]:
-                raise ValueError(
-                    f"its transitions are {held.dtype} {held.shape}, and this task has "
-                    f"{self.rows.shape[1]} numbers in each"
-                )
-        except (SafetensorError, OSError, KeyError, ValueError) as error:
-            raise ConfigError(
-                f"{path} is damaged: {error}. The run cannot go on without it: put it back, or "
-                f"train again; its policies are whole: `spikedeploy export "
-                f"{shlex.quote(str(path.parent))}`."
-            ) from error
+    def load(self, held: NDArray[np.float32], place: int) -> None:
+        """Take over what `tensors` returned with the next place; the newest where it is too much.
+
+        In a full ring each transition takes its place again, as updates draw places.
+        """
         capacity = len(self.rows)
-        held = held[-capacity:]
-        # in a full ring each transition takes its place again, as updates draw places
-        self.next = place % capacity if len(held) == capacity else len(held) % capacity
-        first = self.next if len(held) == capacity else 0
-        self.rows[first : len(held)] = held[: len(held) - first]
-        self.rows[:first] = held[len(held) - first :]
-        self.size = len(held)
+        if len(held) != capacity:
+            held = np.roll(held, -place, axis=0)[-capacity:]  # oldest first
+            place = len(held) % capacity
+        self.rows[: len(held)] = held
+        self.size, self.next = len(held), place
 
 
 class GaussianActor(nn.Module):
@@ -275,7 +249,7 @@ class SacLearner(Learner):
     """
 
     def __init__(self, config: SacConfig, policy: Policy) -> None:
-        self._config = config
+        self._config, self.device = config, torch.device(config.device)
         sizes = policy.observations, policy.actions
         self.policy = policy.requires_grad_(False)
         self.actor = GaussianActor(copy.deepcopy(policy).requires_grad_(), config.epsilon)
@@ -284,56 +258,40 @@ class SacLearner(Learner):
         self.temperature: Temperature | None = None
         if config.learn_temperature:
             self.temperature = Temperature(config.temperature.start, -float(policy.actions))
-        self._optimise()
-
-    def _optimise(self) -> None:
-        """Make the optimisers of the networks where they are."""
         self.modules = {"actor": self.actor, "critic": self.critic, "target": self.target}
         if self.temperature is not None:
             self.modules["temperature"] = self.temperature
-        rate = self._config.learning_rate
+        for module in (self.policy, *self.modules.values()):
+            module.to(self.device)
         learned = {name: module for name, module in self.modules.items() if name != "target"}
-        self.optimizers = {f"{name}_adam": adam(module, rate) for name, module in learned.items()}
-
-    @property
-    def _averaged(self) -> Policy:
-        """The averaged policy, where gradients are computed."""
-        return self.policy
+        self.optimizers = {
+            f"{name}_adam": adam(module, config.learning_rate) for name, module in learned.items()
+        }
 
     def adopt(self, moments: Moments) -> None:
         """Normalise observations by these statistics."""
-        for policy in (self._averaged, self.actor.policy):
+        for policy in (self.policy, self.actor.policy):
             policy.normalizer.adopt(moments)
 
     def average(self, updates: int) -> None:
         """Update the averaged policy (Polyak and Juditsky 1992)."""
         # spans the last tenth of the updates at first, later the last 1 / averaging of them
         share = max(self._config.averaging, _AVERAGED / (updates + _AVERAGED - 1))
-        move_towards(self._averaged, self.actor.policy, share)
-
-    @property
-    def _acting(self) -> GaussianActor:
-        """The actor that explores."""
-        return self.actor
+        move_towards(self.policy, self.actor.policy, share)
 
     @torch.no_grad()
     def explore(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return actions (B, act) drawn from the actor's distribution."""
-        action: Tensor = self._acting(torch.from_numpy(observation).float())[0]
-        return action.double().numpy()
-
-    def settle(self) -> None:
-        """Bring `policy` up to date, before it is validated or saved."""
+        action: Tensor = self.actor(torch.from_numpy(observation).float().to(self.device))[0]
+        return action.double().cpu().numpy()
 
     def update(self, batch: ReplayBatch, temperature: float) -> dict[str, Tensor]:
         """Take one gradient step and return the losses.
 
         temperature: the scheduled one, in place of which a learned one is used
         """
-        learned = self.temperature
-        return self._step(batch, temperature if learned is None else learned.value)
-
-    def _step(self, batch: ReplayBatch, temperature: float | Tensor) -> dict[str, Tensor]:
+        if self.temperature is not None:
+            temperature = self.temperature.value
         observation = self.actor.policy.normalizer(batch.observation)
         with self._autocast():
             goal = self._goal(batch, temperature)
@@ -361,7 +319,7 @@ class SacLearner(Learner):
         self.optimizers[f"{name}_adam"].step()
 
     @torch.no_grad()
-    def _goal(self, batch: ReplayBatch, temperature: float | Tensor) -> Tensor:
+    def _goal(self, batch: ReplayBatch, temperature: float) -> Tensor:
         """Return the targets of the critics (B,)."""
         action, log_prob, _ = self.actor(batch.following)
         following = self.actor.policy.normalizer(batch.following)
@@ -372,7 +330,7 @@ class SacLearner(Learner):
         return goal
 
     def _actor_loss(
-        self, observation: Tensor, batch: ReplayBatch, temperature: float | Tensor
+        self, observation: Tensor, batch: ReplayBatch, temperature: float
     ) -> tuple[Tensor, Tensor]:
         """Return the actor's loss and the policy's entropy."""
         config = self._config
@@ -393,3 +351,130 @@ class SacLearner(Learner):
     def _autocast(self) -> torch.autocast:
         enabled = self._config.precision == "bfloat16"
         return torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled)
+
+
+# -- a run
+
+
+class Sac(EnvRunner[SacConfig]):
+    """One run of soft actor-critic.
+
+    updates: gradient updates so far
+    """
+
+    Config = SacConfig
+    COLUMNS: ClassVar[tuple[str, ...]] = (
+        "env_steps", "updates", "episodes", "episode_return", "support_force", "temperature",
+        "actor_loss", "critic_loss", "entropy", "steps_per_s", "eval_return", "eval_speed",
+        "eval_cot", "eval_falls", "eval_speed_rmse", "eval_turn_rmse",
+    )  # fmt: skip
+    COUNTERS = ("env_steps", "updates", "episodes", "best")
+    VALIDATES_AT_END = False
+    learner: SacLearner
+
+    def __init__(self, config: SacConfig, run: RunFolder) -> None:
+        super().__init__(config, run, config.steps, config.checkpoint_every, config.log_every)
+        sizes = self._envs.sizes
+        if self._envs.head == "discrete":
+            raise ConfigError(
+                f"sac learns continuous actions, and {self._envs.env_id} takes one of {sizes[1]} "
+                "discrete ones: train it with a recipe of ppo"
+            )
+        check_shaping(config.shaping, config.env)
+        self.policy = from_config(config.policy, *sizes, config.normaliser.clip)
+        self.learner = SacLearner(config, self.policy)
+        self._buffer = ReplayBuffer(min(config.buffer, config.steps), *sizes)
+        self.updates = 0
+        self._losses: Mapping[str, Tensor | float] = {}
+
+    def _iterate(self, stopped: Callable[[], bool]) -> bool:
+        self._collect()
+        self._update()
+        return True
+
+    @property
+    def _support_force(self) -> float:
+        return self.config.support_force.value(self.env_steps)
+
+    def _collect(self) -> None:
+        """Take one step in every environment, and store it."""
+        self._envs.support_force(self._support_force)
+        warming_up = self.env_steps < self.config.warm_up
+        explore = self.learner.explore
+        actions = self._envs.uniform() if warming_up else explore(self._envs.observation)
+        counts = self.env_steps < self.config.normaliser.finish
+        steps = self._envs.step(actions)
+        reward = shape_reward(self.config.shaping, steps)
+        self._buffer.add(steps.observation, steps.action, reward, steps.terminated, steps.following)
+        if counts:
+            self._moments.add(steps.observation)
+            self.learner.adopt(self._moments)
+
+    def _update(self) -> None:
+        """Make the updates that are due after the steps so far."""
+        wanted = (self.env_steps - self.config.warm_up) // self.config.update_every
+        scheduled = self.config.temperature.value(self.env_steps)
+        while self.updates < wanted:
+            batch = self._buffer.sample(self.config.batch, self._rng, self.learner.device)
+            self._losses = self.learner.update(batch, scheduled)
+            self.updates += 1
+            self.learner.average(self.updates)
+
+    def _row(self) -> dict[str, float]:
+        self._count_episodes()
+        return super()._row()
+
+    def _metrics(self) -> dict[str, float]:
+        learned = self.learner.temperature
+        scheduled = self.config.temperature.value(self.env_steps)
+        return {
+            "support_force": self._support_force,
+            "temperature": scheduled if learned is None else learned.value,
+            **{name: float(loss) for name, loss in self._losses.items()},
+        }
+
+    def _state(self) -> dict[str, Any]:
+        losses = {name: float(loss) for name, loss in self._losses.items()}
+        return {**super()._state(), "losses": losses, "next": self._buffer.next}
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """Return more tensors for the checkpoint "last"; a finished run needs no replay."""
+        return {**super()._tensors(), **({} if self.finished else self._buffer.tensors())}
+
+    def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+        super()._restore(state, tensors)
+        self._losses = state["losses"]
+        if self.finished:
+            return
+        if "replay" not in tensors:
+            raise ConfigError(
+                f"{self._run.path} is finished, and a finished run has no replay to go on from: "
+                "start a new run with more steps"
+            )
+        self._buffer.load(tensors["replay"].numpy(), state["next"])
+
+
+def check_shaping(weights: Mapping[str, float], env: EnvConfig) -> None:
+    """Raise ConfigError if the environment's reward lacks one of the terms."""
+    if not weights:
+        return
+    probe = envs.make(env.name, **env.options)
+    probe.reset(seed=0)
+    info = probe.step(np.zeros(probe.action_space.shape))[4]  # the first has all terms
+    probe.close()
+    terms = list(info.get("reward_terms", {}))
+    if unknown := sorted(set(weights) - set(terms)):
+        raise ConfigError(
+            f"shaping names {', '.join(unknown)}, which the reward of {env.name} does not have: "
+            + (f"its terms are {', '.join(terms)}" if terms else "it has no named terms")
+        )
+
+
+def shape_reward(weights: Mapping[str, float], steps: Steps) -> NDArray[np.float64]:
+    """Return the reward of each step (B,) with the extra weights."""
+    # r' = r + sum over terms of weight x term
+    extra = np.zeros(len(steps.reward))
+    if weights:
+        each = (info["reward_terms"] for info in steps.infos)
+        extra += [sum(weight * terms[name] for name, weight in weights.items()) for terms in each]
+    return steps.reward + extra
