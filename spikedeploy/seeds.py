@@ -26,3 +26,11 @@ def listed_numbers(option: str, text: str) -> list[int]:
     if twice := [each for each, count in Counter(found).items() if count > 1]:
         raise ConfigError(f"{option}: {twice[0]} is given twice. Give each once.")
     return found
+
+
+def training_seeds(option: str, text: str) -> list[int]:
+    """The seeds of trainings in such a text."""
+    found = listed_numbers(option, text)
+    if (most := max(found)) not in TRAINING:
+        raise ConfigError(f"{option}: {most} is no seed of a training; the last is {TRAINING[-1]}")
+    return found

@@ -28,6 +28,7 @@ from spikedeploy.console import (
     name_program,
     print_json,
     print_result,
+    print_text,
     program_name,
     say,
 )
@@ -46,6 +47,8 @@ def train(
     set_: Settings | None = None,
     budget: Annotated[str, typer.Option(metavar="sops=N|macs=N")] | None = None,
     seed: TrainingSeed | None = None,
+    several: Annotated[str, typer.Option("--seeds", metavar="0-4|0,2,5")] | None = None,
+    jobs: Count | None = None,
     resume: Resume | None = None,
     runs: RunsFolder = _RUNS,
     json: Json = False,
@@ -65,6 +68,9 @@ def train(
     budget: operations of a control step, of sparse recipes: spiking or float (default: the
         recipe's)
     seed: seed of the training (default: 0)
+    several: train with several seeds side by side, each as a command of its own (default: one
+        training)
+    jobs: with --seeds: trainings side by side (default: all cores)
     """
     if what is None and (resume is None or recipe is not None):
         raise typer.BadParameter("name a RECIPE, an ENV with --recipe, or a run with --resume")
@@ -90,6 +96,12 @@ def train(
         "overrides": [*own, *(set_ or ())],
         "budget": budget,
     }
+    if several is not None:
+        if seed is not None or resume is not None:
+            raise typer.BadParameter("--seeds goes without --seed and --resume")
+        _run_seeds(several, jobs, json, runs, recipe or what, **settings)
+    if jobs is not None:
+        raise typer.BadParameter("--jobs goes with --seeds")
     run = _learn(recipe or what, json, seed=seed, resume=resume, runs=runs, **settings)
     if json:
         print_json({"run": str(run)})
@@ -179,6 +191,52 @@ def visualize(
     picture = draw_curves(curves, output, own)
     record = {"path": str(picture), "curves": [vars(each) for each in curves]}
     print_result(json, record, f"wrote {picture}")
+
+
+def _run_seeds(
+    text: str,
+    jobs: int | None,
+    json: bool,
+    runs: Path,
+    recipe: str | None,
+    config_file: Path | None,
+    **settings: Any,  # noqa: ANN401
+) -> None:
+    """Train with each seed of a text such as `0-4`; print a line each and a table."""
+    from spikedeploy.campaign.training_seeds import estimate, train_seeds
+    from spikedeploy.comparison.statistics import FEWEST
+    from spikedeploy.jobs import cores
+    from spikedeploy.reports.table import Table
+    from spikedeploy.seeds import training_seeds
+    from spikedeploy.trainers.config import require_known
+    from spikedeploy.trainers.recipes import RECIPES
+
+    require_known(str(recipe), RECIPES, "recipe")  # before processes are started
+    numbers = training_seeds("--seeds", text)
+    count = min(jobs or cores(), len(numbers))
+    file = str(config_file) if config_file else None
+    arguments = {"recipe": recipe, "config_file": file, "runs": str(runs), **settings}
+    say(f"{len(numbers)} trainings, {count} at a time; logs in {runs / 'logs'}")
+    found, stopped = train_seeds(
+        numbers, count, runs / "logs", arguments, lambda each: say(each.line)
+    )
+    mean = estimate(found)
+    if json:
+        print_json({"seeds": [vars(each) for each in found], "best": mean and mean.as_json()})
+    else:
+        rows = [
+            (str(e.seed), "–" if e.best is None else f"{e.best:,.4g}", e.run or "–") for e in found
+        ]
+        Table(("seed", "best validation return", "run"), rows, str(recipe)).print()
+        if mean is not None:
+            few = f"; of fewer than {FEWEST} trainings the interval holds the truth too seldom"
+            print_text(f"mean {mean.text(',.4g')}{few if len(found) < FEWEST else ''}")
+    if stopped:
+        for each in found:
+            if each.run and each.stopped:
+                say(f"go on with `spikedeploy train --resume {shlex.quote(each.run)}`")
+        raise typer.Exit(130)
+    raise typer.Exit(1 if any(each.failed for each in found) else 0)
 
 
 def distill(
