@@ -64,8 +64,13 @@ def pytest_ignore_collect(collection_path, config):
 
 @pytest.fixture
 def command(monkeypatch, capsys):
-    """Run a command line; its exit code, stdout and stderr."""
-    from spikedeploy import cli
+    """Run a command line; its exit code, stdout and stderr.
+
+    Where it names no number of processes it uses this one: starting others takes seconds.
+    """
+    from spikedeploy import cli, jobs
+
+    monkeypatch.setattr(jobs, "cores", lambda: 1)
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["spikedeploy", *map(str, words)])
