@@ -200,9 +200,10 @@ class Setup(OnChip):
 
     def check(self) -> "Setup":
         """Return it; ConfigError for unknown options, energy tables, metrics and faults."""
-        from spikedeploy.runtime.metrics.energy import checked_table_names
+        if self.energy:
+            from spikedeploy.runtime.metrics.energy import checked_table_names
 
-        checked_table_names(self.energy)
+            checked_table_names(self.energy)
         check_metrics(self.metric)
         _ = self.options(), self.faults, self.quantisation
         return self

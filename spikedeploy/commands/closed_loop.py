@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from spikedeploy import seeds
 from spikedeploy.commands.options import (
     ChipName,
     EnvArgument,
@@ -30,6 +29,7 @@ from spikedeploy.commands.options import (
 from spikedeploy.console import print_json, print_result, say
 from spikedeploy.runtime.choices import BackendName, Units
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.seeds import EVALUATION
 from spikedeploy.setup import Count, OnChip, Reading, Setup, changed
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def run(
     env: EnvName | None = None,
     chip: ChipName | None = None,
     episodes: Count = 1,
-    seed: Seed = seeds.EVALUATION,
+    seed: Seed = EVALUATION,
     video: Path | None = None,
     output: Output | None = None,
     native: bool = False,
@@ -272,7 +272,7 @@ def compare(
     files: PolicyNames | None = None,
     chip: Annotated[list[str], typer.Option()] | None = None,
     episodes: Count = 20,
-    seed: Seed = seeds.EVALUATION,
+    seed: Seed = EVALUATION,
     teacher: Annotated[str, typer.Option(metavar="TEACHER")] | None = None,
     teacher_units: Units | None = None,
     workers: Workers | None = None,
@@ -321,7 +321,7 @@ def play(
     chip: ChipName | None = None,
     record: Path | None = None,
     set_: EnvOptions | None = None,
-    seed: Seed = seeds.EVALUATION,
+    seed: Seed = EVALUATION,
     force: Force = False,
     json: Json = False,
 ) -> None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
-from spikedeploy import seeds
 from spikedeploy.commands.options import (
     ChipName,
     EnergyTables,
@@ -26,6 +25,7 @@ from spikedeploy.commands.options import (
 from spikedeploy.console import print_json, print_result
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
+from spikedeploy.seeds import EVALUATION
 from spikedeploy.setup import Count, OnChip, Reading
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ def drift(
     env: EnvName | None = None,
     episodes: Count = 1,
     steps: Count = 200,
-    seed: Seed = seeds.EVALUATION,
+    seed: Seed = EVALUATION,
     set_: EnvOptions | None = None,
     tau: Annotated[float, typer.Option(min=0.01)] = 5.0,
     markdown: bool = False,

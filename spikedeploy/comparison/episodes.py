@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.comparison.episode_metrics import measure, measure_named
 from spikedeploy.envs.rollout import Rollout, rollout
-from spikedeploy.policies.costs import Costs
 from spikedeploy.policies.registry import Candidate, Entry, Player, open_policy
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.setup import Setup
+
+if TYPE_CHECKING:
+    from spikedeploy.policies.costs import Costs
 
 _TOLERANCE = 0.01  # of an action in [-1, 1]: far below the resolution of a servo
 
@@ -127,7 +129,7 @@ class Episode:
     success: bool | None
     failed: bool | None
     metrics: Mapping[str, float]
-    costs: Costs
+    costs: "Costs"
     agreement: Mapping[str, Agreement]
     remarks: Sequence[str] = ()
     damage: Sequence[Damage] = ()

@@ -6,12 +6,11 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from spikedeploy import envs, zoo
-from spikedeploy.comparison.comparison import Comparison, Row
 from spikedeploy.comparison.episodes import (
     Episode,
     EpisodeJob,
@@ -39,6 +38,9 @@ from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
 from spikedeploy.setup import DEFAULT, Setup
 from spikedeploy.video import Frame, Pace, add_caption, mp4
+
+if TYPE_CHECKING:
+    from spikedeploy.comparison.comparison import Comparison
 
 # of the shipped policies, in table order: the more a control sees and can compute, the later
 _CONTROLS = ("phase", "bilinear", "fourier", "linear", "mlp-8", "mlp-16", "mlp-32", "mlp-64",
@@ -144,7 +146,7 @@ def compare_policies(
     entries: Sequence[Entry],
     seeds: Sequence[int],
     processes: int | None = None,
-) -> Comparison:
+) -> "Comparison":
     """Play every entry on every seed, in parallel, references before those that refer to them.
 
     env: short name or id of the environment
@@ -177,6 +179,8 @@ def compare_policies(
             found = iter(pool.in_order(play, todo, done))
             for entry in group:
                 played[entry] = list(islice(found, len(seeds)))
+    from spikedeploy.comparison.comparison import Comparison, Row
+
     spec, rows = envs.spec(env), [Row(entry, played[entry]) for entry in entries]
     return Comparison(spec.id, seeds, rows, spec.foreign, period_of(env, setup))
 
@@ -208,7 +212,7 @@ def run_policy(
     video: Path | None = None,
     loop: PacedLoop | None = None,
     hardware: Hardware | None = None,
-) -> Comparison:
+) -> "Comparison":
     """Play the policy on every seed; return its row.
 
     reference: as registry.find takes it
@@ -257,6 +261,8 @@ def run_policy(
     if remark := getattr(world.unwrapped, "remark", ""):
         say(remark)
     world.close()
+    from spikedeploy.comparison.comparison import Comparison, Row  # after the first action
+
     if loop is not None:  # it may have played more
         seeds = range(seeds[0], seeds[0] + len(episodes))
     return Comparison(played.env_id, seeds, [Row(entry, episodes)], foreign, period)

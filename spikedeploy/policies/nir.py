@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import nir
 import numpy as np
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.outputs import check_output
-from spikedeploy.policies.costs import Costs, policy_costs
 from spikedeploy.policies.registry import (
     DEFAULT_CHIP,
     FLOAT,
@@ -46,8 +45,10 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployEr
 from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.graph.neurons import SPIKING
 from spikedeploy.runtime.metadata import Provenance, Record
-from spikedeploy.runtime.metrics.traffic import placed_messages
 from spikedeploy.setup import Setup
+
+if TYPE_CHECKING:
+    from spikedeploy.policies.costs import Costs
 
 _OPENED = 16  # files that are kept, so that a policy which is found and then played is read once
 # of what `adopt` writes; which environment it is for is not known
@@ -178,8 +179,12 @@ class NirController(Copyable, Player):
         found, before = self.controller.ledger, self._ledger_before
         return found if before is None else found.since(before)
 
-    def costs(self, played: Rollout) -> Costs:
+    def costs(self, played: Rollout) -> "Costs":
         """Costs of the ledger of the episode, of the host beside it, and of the file."""
+        # after the first action, which is sooner without them
+        from spikedeploy.policies.costs import policy_costs
+        from spikedeploy.runtime.metrics.traffic import placed_messages
+
         ledger = self.ledger
         placed = None if self.cores is None else placed_messages(ledger, self.program, self.cores)
         return policy_costs(self.artifact, ledger, self.program, self.chip, placed)
