@@ -1,7 +1,7 @@
 """Jobs: calls of a function in processes of one thread each, whose results come as they end.
 
-A job that fails has its error as result, and one whose process is killed is run once more. Ctrl-C
-asks running jobs to stop by SIGTERM: trainings end at a checkpoint, other jobs at once.
+A job that fails, or whose process is killed, has its error as result. Ctrl-C asks running jobs to
+stop by SIGTERM: trainings end at a checkpoint, other jobs at once.
 """
 
 import os
@@ -30,7 +30,6 @@ WORKER_ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
 }
-_ATTEMPTS = 2  # of a job whose worker is killed
 _MAX_FAILED_STARTS = 3  # of workers, one after the other
 _KILLED = "a worker process was killed, probably for memory: run again with fewer at a time"
 _NO_START = (
@@ -98,15 +97,12 @@ class Serial(AbstractContextManager["Serial"]):
 
 
 class Pool(Serial):
-    """Runs jobs in `count` processes, which are kept for later jobs until the context ends.
+    """Runs jobs in `count` processes, which are kept for later jobs until the context ends."""
 
-    attempts: of a job whose process is killed
-    """
-
-    def __init__(self, count: int, attempts: int = _ATTEMPTS) -> None:
-        self._count, self._attempts, self._failed_starts = count, attempts, 0
+    def __init__(self, count: int) -> None:
+        self._count, self._failed_starts = count, 0
         self._idle: list[_Worker] = []
-        self._busy: dict[Future[bytes], tuple[_Worker, int, Any, int]] = {}
+        self._busy: dict[Future[bytes], tuple[_Worker, int, Any]] = {}
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         """End the processes; a second Ctrl-C kills them."""
@@ -127,21 +123,20 @@ class Pool(Serial):
 
         After Ctrl-C the results of running jobs that can be stopped come, then KeyboardInterrupt.
         """
-        fresh = ((index, job, 1) for index, job in enumerate(jobs))
-        again: list[tuple[int, Any, int]] = []
+        fresh = iter(enumerate(jobs))
+        again: list[tuple[int, Any]] = []
         try:
             while True:
                 self._begin(function, fresh, again)
                 if not self._busy:
                     return
                 for future in wait(self._busy, return_when=FIRST_COMPLETED).done:
-                    worker, index, job, attempt = self._busy.pop(future)
+                    worker, index, job = self._busy.pop(future)
                     try:
                         result: JobResult = pickle.loads(future.result())
                     except BrokenProcessPool:
-                        started = self._check_start(worker)
-                        if attempt < self._attempts or not started:
-                            again.append((index, job, attempt + started))
+                        if not self._check_start(worker):
+                            again.append((index, job))
                             continue
                         result = JobResult(index, error=SpikedeployError(_KILLED))
                     else:
@@ -155,8 +150,8 @@ class Pool(Serial):
     def _begin(
         self,
         function: Function,
-        fresh: Iterator[tuple[int, Any, int]],
-        again: list[tuple[int, Any, int]],
+        fresh: Iterator[tuple[int, Any]],
+        again: list[tuple[int, Any]],
     ) -> None:
         """Give every free place a job."""
         while len(self._busy) < self._count:
@@ -164,7 +159,7 @@ class Pool(Serial):
             if task is None:
                 return
             worker = self._idle.pop() if self._idle else _Worker()
-            index, job, _ = task
+            index, job = task
             self._busy[worker.submit(index, pickle.dumps((function, job)))] = (worker, *task)
 
     def _check_start(self, dead: "_Worker") -> bool:

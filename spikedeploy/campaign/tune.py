@@ -164,7 +164,7 @@ def tune(
                 yield begun[-1]
 
         try:
-            with sigterm_as_interrupt(), Pool(jobs, attempts=1) as pool:
+            with sigterm_as_interrupt(), Pool(jobs) as pool:
                 for result in pool.run(run_trial, todo()):
                     say(_tell(study, begun[result.index], result))
                     _check_hopeless(study)

@@ -245,7 +245,6 @@ def drift(
     seed: Seed = EVALUATION,
     set_: EnvOptions | None = None,
     tau: Annotated[float, typer.Option(min=0.01)] = 5.0,
-    markdown: bool = False,
     output: ReportFolder | None = None,
     force: Force = False,
     json: Json = False,
@@ -262,12 +261,11 @@ def drift(
     tau: time constant of the spike distance, in timesteps
 
     Output:
-        markdown: print the tables as Markdown
     """
     from spikedeploy.emulation.design_report import network_path
     from spikedeploy.emulation.drift_report import choose_inputs, drift_report
     from spikedeploy.outputs import check_output_folder
-    from spikedeploy.reports.drift_page import drift_markdown, drift_page, print_drift
+    from spikedeploy.reports.drift_page import drift_page, print_drift
     from spikedeploy.reports.page import FILES, is_page_of, write_page
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
@@ -296,8 +294,6 @@ def drift(
         write_page("drift", drift_page(report), report.as_json(), output)
     if json:
         print_json(report.as_json())
-    elif markdown:
-        typer.echo(drift_markdown(report))
     else:
         print_drift(report)
         _name_page(output)

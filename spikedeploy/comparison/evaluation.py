@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -129,18 +129,6 @@ def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
     ]
 
 
-class Hardware(Protocol):
-    """Hardware that drives in place of the emulated chip: name of its row, and its backend."""
-
-    @property
-    def name(self) -> str:
-        """Name of the row."""
-
-    @property
-    def backend(self) -> Any:  # noqa: ANN401
-        """Makes the backend of a machine."""
-
-
 def compare_policies(
     env: str,
     entries: Sequence[Entry],
@@ -211,7 +199,7 @@ def run_policy(
     setup: Setup = DEFAULT,
     video: Path | None = None,
     loop: PacedLoop | None = None,
-    hardware: Hardware | None = None,
+    hardware: Any = None,  # noqa: ANN401
 ) -> "Comparison":
     """Play the policy on every seed; return its row.
 
@@ -221,7 +209,7 @@ def run_policy(
     seeds: (n,)
     video: MP4 of the first episode
     loop: paces the episodes by the clock and chooses the seeds; None plays at full speed
-    hardware: computes in place of the emulated chip
+    hardware: shipping.verilog.CoreDriver that computes in place of the emulated chip
     """
     candidate = find(reference)
     played_with = setup

@@ -2,12 +2,12 @@
 
 Where they differ, other readings of the file are tried until one computes what was recorded: each
 option of `load` with its choices, in the order in which options are usually to blame; rounding to
-float32; every combination of what a tool's files leave open; and options two at a time.
+float32; and every combination of what a tool's files leave open.
 """
 
 import time
 from collections.abc import Iterator
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -104,7 +104,7 @@ def _conclusion(found: "Found", tool: str | None) -> str:
     """A sentence on what makes both equal, or on what was tried in vain."""
     if found.cause:
         return f"likeliest cause: {' and '.join(found.cause)}, with which all are equal"
-    said = "no option, and no two of them without --like, make both equal"
+    said = "no option makes both equal"
     if not found.finished:
         said = f"no option that was tried in {_LONGEST:g} s makes both equal"
     if found.nearest:
@@ -208,8 +208,6 @@ def find_cause(
     longest: [s] after which no further reading is tried.
     """
     end, graph, finished = time.monotonic() + longest, read_graph_of(path), True
-    upto = first.timestep + 1
-    early = Recorded(read.inputs[:, :upto], read.outputs[:, :upto], [])
     counts = {"": first.count}
     if find_difference(artifact, read, np.float32) is None:
         return Found(("rounding to float32",))
@@ -220,10 +218,6 @@ def find_cause(
         if (other := _read_with(graph, given, changes)) is None:
             continue
         words = _typed(given, changes)
-        # most pairs fail at the timestep of the first difference already
-        pair = len(changes) > 1 and other.convention.state != "kept"
-        if pair and find_difference(other, early) is not None:
-            continue
         found = find_difference(other, read)
         if found is None:
             return Found(words)
@@ -242,15 +236,11 @@ def _readings(given: Options, artifact: Artifact, inferences: int) -> Iterator[O
         if choice != given.get(option, getattr(artifact.convention, option, None))
         and (option != "state" or inferences > 1)
     ]
-    others = [changes for changes in singles if "like" not in changes]
-    yield from others
+    yield from (changes for changes in singles if "like" not in changes)
     if not given.get("like"):
         for tool in [given["written_by"]] if given.get("written_by") else WRITERS:
             yield from _left_open(tool, given)
     yield from (changes for changes in singles if "like" in changes)
-    for one, two in combinations(others, 2):
-        if not one.keys() & two.keys():
-            yield one | two
 
 
 def _left_open(tool: str, given: Options) -> Iterator[Options]:

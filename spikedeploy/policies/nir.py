@@ -213,7 +213,7 @@ def adopt(
         )
     if artifact.codec is not None:
         raise ConfigError(f"{file} states its codec: leave --codec out")
-    found, actions = _read_codec(codec)
+    found, actions = read_codec(codec)
     try:
         policy = replace(artifact, codec=found, provenance=_ADOPTED)
     except ArtifactError as error:  # written by hand
@@ -289,12 +289,7 @@ def _with_actions(policy: Artifact, actions: Any, where: str) -> Artifact:  # no
     return replace(policy, graph=wider)
 
 
-def read_codec(path: Path) -> Codec:
-    """Return the codec in a JSON file."""
-    return _read_codec(path)[0]
-
-
-def _read_codec(path: Path) -> tuple[Codec, Any]:
+def read_codec(path: Path) -> tuple[Codec, Any]:
     """Return the codec in a JSON file, and its `actions`, or None."""
     try:
         record = read_json(path, "docs/own-network.md has a whole one")

@@ -67,11 +67,6 @@ def print_drift(report: DriftReport) -> None:
         table.print()
 
 
-def drift_markdown(report: DriftReport) -> str:
-    """The tables in Markdown."""
-    return "\n".join(f"## {t.title}\n\n{t.markdown()}\n" for t in drift_tables(report))
-
-
 def drift_page(report: DriftReport) -> str:
     """The page as one file."""
     drift = report.drift

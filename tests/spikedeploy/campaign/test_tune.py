@@ -31,7 +31,7 @@ class Trainings:
         self.log, self.fault = [], None
         monkeypatch.setattr(tune, "train", self.train)
         monkeypatch.setattr(tune, "evaluate", self.evaluate)
-        monkeypatch.setattr(tune, "Pool", lambda count, attempts: Serial())
+        monkeypatch.setattr(tune, "Pool", lambda count: Serial())
 
     def train(self, recipe, *, overrides, resume, runs, interrupt, watch, **_):
         gamma = {}
@@ -187,7 +187,7 @@ TINY = [
 
 
 def test_trials_are_trained_exported_and_judged_on_the_chip(command, tmp_path, monkeypatch):
-    monkeypatch.setattr(tune, "Pool", lambda count, attempts: Serial())
+    monkeypatch.setattr(tune, "Pool", lambda count: Serial())
     fixed = [word for text in TINY for word in ("--set", text)]
     code, out, err = command(
         "tune", "ppo-snn", "--env", "tests.own_env:Reach", *fixed,

@@ -45,13 +45,10 @@ def here(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
 
-def test_tables_are_printed_for_people_and_as_markdown(command, raster):
+def test_tables_are_printed_for_people(command, raster):
     _, out, _ = command("drift", "p.nir", "--input", "raster.npy")
     assert "Which rounding costs what" in out
     assert "Dead and saturated" not in out
-    _, out, _ = command("drift", "p.nir", "--input", "raster.npy", "--markdown")
-    assert "| layer | neurons | rate, float |" in out
-    assert "| n2 | 16 |" in out
 
 
 def test_a_dead_layer_is_named(command, tmp_path):
