@@ -65,7 +65,7 @@ def train_seeds(
     found: dict[int, SeedTraining] = {}
     job, interrupted = partial(train_seed, logs, arguments), False
     try:
-        with sigterm_as_interrupt(), Pool(count, attempts=1) as pool:
+        with sigterm_as_interrupt(), Pool(count) as pool:
             for result in pool.run(job, seeds):
                 seed = seeds[result.index]
                 found[seed] = result.value or _failed(

@@ -16,7 +16,7 @@ WORDS = ["train", "CartPole-v1", "--recipe", "ppo-mlp", *(w for q in QUICK for w
 
 
 def test_each_seed_gives_what_a_command_of_its_own_does(tmp_path, command, monkeypatch):
-    monkeypatch.setattr(campaign, "Pool", lambda count, attempts: Serial())
+    monkeypatch.setattr(campaign, "Pool", lambda count: Serial())
     code, out, err = command(*WORDS, "--seeds", "0,3", "--runs", tmp_path, "--json")
     assert code == 0, err
     found = json.loads(out)
@@ -59,7 +59,7 @@ def test_a_training_that_fails_says_why_and_the_others_count(tmp_path):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "train_seed", run)
-        patch.setattr(campaign, "Pool", lambda count, attempts: Serial())
+        patch.setattr(campaign, "Pool", lambda count: Serial())
         found, interrupted = train_seeds(
             [4, 5, 6], 1, tmp_path / "logs", {"recipe": "x"}, lambda each: None
         )
