@@ -2,7 +2,6 @@
 
 Any NIR file will do; a policy and its environment are needed only to record inputs for drift.
 
-counted_run           counts and energies that runs have in common
 raster_emulation      a raster through a network, on a chip or in float, and all that it cost
 rasters               rasters in .npy and .npz files
 drift_report          where a chip leaves the float twin

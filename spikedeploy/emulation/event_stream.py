@@ -17,9 +17,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.counted_run import SILENT, CountedRun, several_remark
 from spikedeploy.emulation.event_input import EventInput
-from spikedeploy.emulation.raster_emulation import NIR_DATA
+from spikedeploy.emulation.raster_emulation import (
+    NIR_DATA,
+    SILENT,
+    CountedRun,
+    several_remark,
+)
 from spikedeploy.outputs import mark
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.artifact.nir_data import EventDataWriter

@@ -23,11 +23,11 @@ from spikedeploy.reports.columns import (
     short_label,
     tables,
 )
-from spikedeploy.reports.energy_verdict import energy_verdict
 from spikedeploy.reports.page import command_line, render
 from spikedeploy.reports.plots import energy_figure, returns_figure, save, svg
 from spikedeploy.reports.summary import (
     describe_disturbances,
+    energy_verdict,
     headline,
     main_row,
     sentences_of,

@@ -6,8 +6,8 @@ from itertools import cycle
 
 from markupsafe import Markup
 
-from spikedeploy.emulation.counted_run import SILENT
 from spikedeploy.emulation.drift_report import DriftReport
+from spikedeploy.emulation.raster_emulation import SILENT
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.plots import (
     BLUE,

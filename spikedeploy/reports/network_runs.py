@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from spikedeploy.console import print_text
-from spikedeploy.emulation.counted_run import CountedRun
 from spikedeploy.emulation.event_replay import Replay
 from spikedeploy.emulation.event_stream import EventRun
-from spikedeploy.emulation.raster_emulation import Emulation, describe
+from spikedeploy.emulation.raster_emulation import CountedRun, Emulation, describe
 from spikedeploy.reports.columns import energy_hint
 from spikedeploy.reports.page import provenance, render
 from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table, format_bounds, format_si

@@ -1,55 +1,24 @@
 """No command overwrites its input, a device, a run's files or what it did not write."""
 
-import inspect
 import os
 import re
 import shutil
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
-from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 
-from spikedeploy.cli import COMMANDS as COMMANDS_OF_CLI
 from spikedeploy.outputs import check_output, check_output_folder, has_text, mark
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import write_text
-from spikedeploy.shipping.export_run import _same_training, export_run
+from spikedeploy.shipping.export_run import _same_training
 from tests.networks import ORIGIN, popsan
 from tests.paths import ROOT
 
 NET = ROOT / "examples" / "net.nir"
 RASTER = ROOT / "examples" / "raster.npy"
-# of commands that find the names of their files elsewhere
-GUARDS = {
-    "export": inspect.getsource(export_run),
-}
-# options and arguments that name a file or folder to write, by command
-OUTPUTS = {
-    ("run", "video"), ("run", "output"), ("sweep", "output"), ("compare", "output"),
-    ("emulate", "output"), ("export", "output"), ("visualize", "output"),
-    ("play", "record"),
-    ("adapt", "output"), ("check", "output"), ("drift", "output"),
-}  # fmt: skip
-# paths that are read, edited by design, or in which a new folder is made, or a build
-OTHERS = {"file", "input_", "against", "codec", "traces", "config", "runs", "source", "folder",
-          "spec", "network", "raster", "via", "report", "check", "labels"}  # fmt: skip
-
-
-def test_every_option_that_names_a_file_to_write_is_guarded_and_has_force():
-    found = set()
-    for name in (name for verbs in COMMANDS_OF_CLI.values() for name in verbs.items()):
-        function = getattr(import_module(f"spikedeploy.commands.{name[1]}"), name[0])
-        hints = get_type_hints(function)
-        paths = {key for key, kind in hints.items() if Path in (kind, *get_args(kind))}
-        found |= {(name[0], key) for key in paths - OTHERS}
-        assert not paths - OTHERS or "force" in hints, name
-        inside = GUARDS.get(name[0]) or inspect.getsource(function)
-        assert not paths - OTHERS or "check_output" in inside, name
-    assert found == OUTPUTS
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """`serve`: what clients are answered, and that none of them harms another."""
 
-import ast
 import json
 import runpy
 import signal
@@ -272,13 +271,3 @@ def test_the_example_of_a_client_whose_reply_is_lost_connects_and_resets_again(c
     context.term()
     assert asked == ["info", "reset", "act", "info", "reset", "act", "bye"]
     assert "connecting again" in capsys.readouterr().err
-
-
-def test_the_ros_node_imports_ros_and_zeromq_alone():
-    tree = ast.parse((ROOT / "examples" / "ros2_node.py").read_text("utf-8"))
-    found = {
-        (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Import | ast.ImportFrom)
-    }
-    assert found == {"json", "rclpy", "std_msgs", "zmq"}

@@ -3,8 +3,7 @@
 import pytest
 
 from spikedeploy.reports.datasheets import static_table
-from spikedeploy.reports.energy_verdict import energy_verdict
-from spikedeploy.reports.summary import sentences_of
+from spikedeploy.reports.summary import energy_verdict, sentences_of
 
 INT8 = "horowitz45-int8"
 
