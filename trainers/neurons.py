@@ -19,7 +19,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.families.numba_frame import jit
+from spikedeploy.runtime.families.numba_frame import kept_on_disk
 from spikedeploy.trainers.config import require_known
 
 Array = NDArray[np.floating[Any]]
@@ -252,7 +252,7 @@ def _rows(tensor: Tensor) -> Array:
     return rows
 
 
-@jit
+@kept_on_disk
 def _integrate(drive: Array, constants: Array, state: Array, membrane: Array) -> None:
     """Write the membranes (T, N); `state` (2, N) holds currents, and membranes after the reset."""
     alpha, beta, threshold = constants[0], constants[1], constants[2]
@@ -267,7 +267,7 @@ def _integrate(drive: Array, constants: Array, state: Array, membrane: Array) ->
             kept[n] = v - v if v > threshold else v
 
 
-@jit
+@kept_on_disk
 def _differentiate(
     membrane: Array, upstream: Array, constants: Array, state: Array, result: Array
 ) -> None:
