@@ -131,14 +131,11 @@ def python(wheel_file, folder):
     What spikedeploy depends on is seen from there; an editable install of it is not.
     """
     home = folder / "installed"
-    called(sys.executable, "-m", "venv", home, cwd=folder)
-    pip = [home / "bin/python", "-m", "pip", "--disable-pip-version-check"]
-    # older Pythons put one into every environment that is too old to build this project
-    called(*pip, "uninstall", "--yes", "setuptools", cwd=folder)
+    called(sys.executable, "-m", "venv", "--without-pip", home, cwd=folder)
     site = next(home.glob("lib/python*/site-packages"))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    offline = ["--no-deps", "--no-index", "--no-build-isolation", "--force-reinstall"]
-    called(*pip, "install", *offline, wheel_file, cwd=folder)
+    pip = [sys.executable, "-m", "pip", "--python", home / "bin/python", "install"]
+    called(*pip, "--no-deps", "--no-index", "--force-reinstall", wheel_file, cwd=folder)
     return home / "bin/python"
 
 

@@ -55,8 +55,8 @@ CASES = {
         "normaliser.finish=200", "log_every=30", "validation.every=60")),
     "ppo": Case("smoke-kart", ("steps=768", "checkpoint_every=128", "env.count=3")),
     "ppo-mlp": Case("ppo-mlp", (
-        "env.name=CartPole-v1", "steps=1500", "horizon=50", "checkpoint_every=300",
-        "validation.every=300", "validation.episodes=2", "env.count=2")),
+        "env.name=CartPole-v1", "steps=600", "horizon=20", "checkpoint_every=120",
+        "validation.every=120", "validation.episodes=2", "env.count=2")),
     "distill": Case("smoke-distill", ("teacher=hexapod/sac", "iterations=3", "checkpoint_every=7")),
     "distill-snn": Case("distill-snn", (
         "env.name=CartPole-v1", "teacher=tests.trainers.kills:lean", "updates=60",

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from lab.publish import publish_run
-from spikedeploy import zoo
+from spikedeploy import cli, zoo
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.reproduce import CLOSE, DIFFERS, EQUAL, read_evaluation, reproduce
@@ -223,18 +223,29 @@ def test_the_first_episodes_are_compared_in_what_is_of_them(card):
         again(card, episodes=4)
 
 
-@pytest.fixture
-def report(monkeypatch, tmp_path, command):
-    """A folder with a report on the shipped policies of the toy world."""
-    toy_stroll_env.ship(monkeypatch, tmp_path / "zoo")
-    folder = tmp_path / "results"
-    code, _, err = command(
-        "compare", "stroll", "--episodes", 2, "--workers", 1, "-o", folder, "--json",
-        "--energy", "davies2018", "--quantise", "channel", "--fault", "lost-spikes:3",
-        "--chips", "loihi1,int",
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """A folder with a report on the shipped policies of the toy world, and their zoo."""
+    folder = tmp_path_factory.mktemp("compared")
+    words = (
+        "spikedeploy", "compare", "stroll", "--episodes", "2", "--workers", "1", "--json",
+        "-o", str(folder / "results"), "--energy", "davies2018", "--quantise", "channel",
+        "--fault", "lost-spikes:3", "--chips", "loihi1,int",
     )  # fmt: skip
-    assert code == 0, err
+    with pytest.MonkeyPatch.context() as patch:
+        toy_stroll_env.ship(patch, folder / "zoo")
+        patch.setattr(sys, "argv", list(words))
+        with pytest.raises(SystemExit, match="0"):
+            cli.main()
     return folder
+
+
+@pytest.fixture
+def report(compared, tmp_path, monkeypatch):
+    """A copy of the report, and of the policies."""
+    shutil.copytree(compared, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path / "zoo")
+    return tmp_path / "results"
 
 
 def test_a_report_is_reproduced_with_its_setup(report):
