@@ -124,29 +124,18 @@ class Machine(Copyable):
         self.recordings = concatenate_recordings(recorded, axis=0)
         return np.concatenate(outputs)
 
-    def step(self, spikes: NDArray[Any], out: Floats | None = None) -> Floats:
+    def step(self, spikes: NDArray[Any]) -> Floats:
         """Output (B, act) after one chip timestep with the input spikes (B, M).
 
         Layers run on from step to step until `reset`; spikes travel as late as on the chip.
-
-        out: memory (B, act) for the output, float64; with it the "numba" backend allocates nothing.
         """
         rows = self._checked(spikes, 2)[None]
         backend = self._prepare("step", 1, len(spikes))
         presynaptic = self._run(backend, rows, self._step)[0]
         self._step += 1
-        readout = self.program.readout
         if host := self._hosts.get(len(spikes)):
-            output = host.output(rows, backend)[:, 0]
-        elif readout is not None and out is not None:
-            np.dot(presynaptic.astype(np.float64, copy=False), readout.weight, out)
-            return np.add(out, readout.bias, out)
-        else:
-            output = self._output(presynaptic)
-        if out is None:
-            return output
-        np.copyto(out, output)
-        return out
+            return host.output(rows, backend)[:, 0]
+        return self._output(presynaptic)
 
     def seed(self, seeds: Sequence[int]) -> None:
         """Seed the upsets anew for the episode of each robot (B,)."""

@@ -69,7 +69,7 @@ def test_the_specification_has_the_arguments_of_rockpool_and_each_of_them_counts
         assert any((one != other).any() for one, other in spikes_by(program, changed, 200))
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(random_networks())
 def test_specifications_of_random_networks_compute_the_same_spikes(artifact):
     program = program_of(artifact)
@@ -77,7 +77,7 @@ def test_specifications_of_random_networks_compute_the_same_spikes(artifact):
         np.testing.assert_array_equal(found, wanted)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(random_networks(), st.integers(0, 2**32 - 1))
 def test_xylosim_computes_from_the_specification_what_the_emulated_chip_does(artifact, seed):
     reason = "xylosim is not installed: it needs a C++ compiler"

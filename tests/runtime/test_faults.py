@@ -79,16 +79,6 @@ def test_every_chip_of_integers_runs_every_fault_and_counts_it(name, kind):
     assert (damage.name, damage.number, damage.over_time) == (kind, number, kind in OVER_TIME)
 
 
-@pytest.mark.parametrize("kind", FAULTS)
-def test_the_same_specimen_is_the_same_chip_and_another_is_another(kind):
-    def output(specimen):
-        pool = Machine(inject(program_on("loihi1"), faults([f"{kind}=0.3"], specimen)), None)
-        return pool.infer(spikes())
-
-    assert np.array_equal(output(0), output(0))
-    assert not np.array_equal(output(0), output(1))
-
-
 @pytest.mark.parametrize("name", FLOATS)
 def test_chips_that_compute_in_floats_have_no_faults(name):
     with pytest.raises(ConfigError, match=f"chip '{name}' computes in floats"):

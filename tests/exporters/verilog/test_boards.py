@@ -47,24 +47,6 @@ def test_constraints_name_each_port_of_the_top_module_and_no_other(name, tmp_pat
     assert f"{board(name).clock_hz / 1e6:g}" in board(name).constraints
 
 
-def test_constraints_of_an_ice40():
-    assert board("icebreaker").constraints.splitlines()[1:] == [
-        "set_io clk 35",
-        "set_io -pullup yes rx 6",
-        "set_io tx 9",
-        "set_io lamp_n 37",
-        "set_io -pullup yes button_n 10",
-        "set_frequency clk 12",
-    ]
-
-
-def test_constraints_of_an_ecp5():
-    lines = board("ulx3s").constraints.splitlines()
-    assert 'LOCATE COMP "rx" SITE "M1";' in lines
-    assert 'IOBUF PORT "rx" IO_TYPE=LVCMOS33 PULLMODE=UP;' in lines
-    assert 'FREQUENCY PORT "clk" 25 MHZ;' in lines
-
-
 def test_a_board_that_there_is_not_is_a_sentence():
     with pytest.raises(ConfigError, match=r"no board 'icebraker'. Did you mean 'icebreaker'\?"):
         board("icebraker")

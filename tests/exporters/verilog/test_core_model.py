@@ -167,22 +167,3 @@ REFUSED = [
 def test_a_program_that_the_core_has_not_is_refused_by_its_rule(rule, program):
     with pytest.raises(RuleError, match=f"^rule {rule}: "):
         core_image(program())
-
-
-def test_the_edges_of_loihi_s_registers_are_among_the_vectors():
-    program, raster = edges("current", Register(24, "wrap-once"))
-    current = record(core_image(program), raster).current
-    assert {64 - (1 << 23), (1 << 23) - 64, 1 << 23} <= set(current.ravel().tolist())
-    program, raster = edges("membrane", Register(24, "clip"))
-    membrane = record(core_image(program), raster).membrane
-    assert {1 - (1 << 23), (1 << 23) - 2, (1 << 23) - 1} <= set(membrane.ravel().tolist())
-
-
-def test_thresholds_are_met_by_one_less_by_the_same_and_by_one_more():
-    program, raster = edges("membrane", Register(24, "clip"))
-    found = record(core_image(program), raster, backend="interpreter")
-    threshold = np.concatenate([layer.threshold for layer in program.layers])
-    # where no spike has changed the membrane, it is seen as it was compared
-    apart = (found.membrane - threshold)[found.spikes == 0]
-    assert {-1, 0} <= set(apart.tolist())
-    assert found.spikes.any()

@@ -9,13 +9,8 @@ import pytest
 from spikedeploy import zoo
 from spikedeploy.exporters.verilog.board_files import board_files
 from spikedeploy.exporters.verilog.boards import board
-from spikedeploy.exporters.verilog.image import core_image
-from spikedeploy.exporters.verilog.resources import Buffer, CoreMemory, Use, memories_of, predict
+from spikedeploy.exporters.verilog.resources import Buffer, CoreMemory, Use, predict
 from spikedeploy.runtime.artifact.artifact import load
-from spikedeploy.runtime.chips.chip import chip
-from spikedeploy.runtime.chips.layer import NEVER, Layer, Synapses
-from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 from tests.board_designs import export, image_of, make, needs, walk
 from tests.networks import event_driven, popsan
@@ -120,38 +115,6 @@ def test_a_design_that_does_not_fit_is_refused_by_what_is_full():
     assert not use.record()["fits"]
 
 
-def membranes(count):
-    """A program of so many neurons whose membranes leave the core, a word each."""
-    same = {name: np.full(count, 2048) for name in ("current_decay", "membrane_decay")}
-    same |= {name: np.zeros(count, np.int64) for name in ("bias", "voltage_bias")}
-    weight = np.arange(4 * count).reshape(4, count).astype(np.int16)
-    out = Layer(
-        "out", (Synapses("input", weight, 1),), threshold=np.full(count, NEVER), scale=1.0,
-        start=0, spiking=False, **same,
-    )  # fmt: skip
-    convention = Convention(1e-3, state="kept")
-    return Program(chip("loihi1"), convention, "input", 4, (out,), "out", None, clock="pipelined")
-
-
-# words of a timestep; numbers of 16 bits in the link's buffer; its RAMs in an iCE40 and an ECP5
-@pytest.mark.parametrize(
-    ("words", "numbers", "blocks"),
-    [(64, 256, (1, 1)), (80, 512, (2, 1)), (128, 512, (2, 1)), (200, 1024, (4, 1))],
-)
-def test_a_prediction_has_the_links_buffer_as_large_as_the_words_need(words, numbers, blocks):
-    image = core_image(membranes(words))
-    assert image.words == words
-    memories = memories_of(image)
-    (buffer,) = (each for each in memories if each.name == "buffer")
-    assert (buffer.words, buffer.bits) == (numbers, 16)
-    for name, count in zip(("icebreaker", "ulx3s"), blocks, strict=True):
-        device = board(name).device
-        assert (buffer.place(device).kind, buffer.place(device).count) == ("blocks", count)
-        others = (each.place(device) for each in memories if each is not buffer)
-        beside = sum(place.count for place in others if place.kind == "blocks")
-        assert predict(image, board(name)).block_rams == beside + count
-
-
 def test_a_policy_too_large_for_the_board_is_refused_before_a_file_is_written():
     artifact = popsan(obs=12, hidden=(128, 128))
     with pytest.raises(RuleError, match="rule memory"):
@@ -169,16 +132,6 @@ def test_the_buffer_of_the_link_has_room_for_the_words_of_a_timestep(words, bits
     buffer.check()
     with pytest.raises(RuleError, match="rule link"):
         Buffer(256).check()
-
-
-def test_costs_say_how_long_a_timestep_takes(tmp_path):
-    export(event_driven(), "icebreaker", tmp_path)
-    costs = json.loads((tmp_path / "costs.json").read_text())
-    step = costs["timestep"]
-    assert step["core_us"]["most"] == pytest.approx(step["clocks"]["most"] / 12)
-    # 5 bytes around at least one token, 5 around one word, 10 bits each at 1 Mbaud
-    assert step["uart_us"]["mean"] >= 10 * (5 + 2 + 5 + 4)
-    assert costs["predicted"]["fits"]
 
 
 @pytest.mark.fpga

@@ -59,11 +59,6 @@ def test_a_missing_tool_is_a_sentence_with_each_way_to_get_it(alone):
         tools.require_tool("nextpnr-ecp5")
 
 
-def test_each_tool_has_a_way_to_get_it():
-    for tool in tools.TOOLS.values():
-        assert tool.debian or tool.pypi
-
-
 @needs("make")
 @pytest.mark.parametrize(
     ("target", "variable", "said"),
@@ -84,17 +79,3 @@ def test_make_says_which_tool_is_missing_and_leaves_nothing(target, variable, sa
     assert done.returncode != 0
     assert said in done.stderr
     assert sorted(tmp_path.iterdir()) == before
-
-
-@needs("make")
-@pytest.mark.parametrize(
-    ("target", "said"),
-    [("netlist", "has no simulation models"), ("bitcheck", "No tool makes Verilog")],
-)
-def test_make_says_what_there_is_not_for_an_ecp5(target, said, tmp_path):
-    export(event_driven(), "ulx3s", tmp_path)
-    done = subprocess.run(
-        ["make", target], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode != 0
-    assert said in done.stderr

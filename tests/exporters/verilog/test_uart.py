@@ -208,26 +208,6 @@ def test_a_repeated_request_is_answered_and_not_done_again(port):
     assert link.infer([[4]]) == [[1, 4, 2]]
 
 
-@needs_simulation
-def test_bytes_that_come_while_the_core_works_are_not_taken_for_requests(port):
-    link = LINK.Link(port, TOKENS, WORDS, 3, tries=20)
-    both = LINK.request(210, [63] * 60 + [0x8000]) + LINK.request(211, [1, 0x8000])
-    port.write(both)
-    assert port.read(17)[:17] == LINK.reply(210, [60, 63 * 60, 1])
-    assert link.infer([[4]]) == [[1, 4, 2]]
-
-
-@needs_simulation
-def test_a_frame_of_any_bytes_never_stops_the_board(port):
-    rng, link = random.Random(5), LINK.Link(port, TOKENS, WORDS, 3, tries=50)
-    for _ in range(20):
-        port.write(bytes(rng.randrange(256) for _ in range(rng.randrange(1, 60))))
-        port.write(b"\xa5" * rng.randrange(4))
-        port.read(1)
-    link.reset()
-    assert link.infer([[9]]) == [[1, 9, 1]]
-
-
 def test_a_reply_is_found_behind_bytes_that_are_none():
     frame = LINK.reply(5, [1, 2**32 - 1])
     received = bytearray(b"\x5a\x07\x5a" + LINK.reply(4, [9]) + frame[:4])

@@ -82,7 +82,7 @@ def test_a_short_kernel_counts_what_differs_and_a_long_one_the_difference_of_cou
     assert van_rossum(one, other, 1e6).item() == pytest.approx(1 / 2, abs=1e-4)
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1.0, 5.0]))
 def test_it_is_the_integral_of_the_definition(seed, tau):
     rng = np.random.default_rng(seed)

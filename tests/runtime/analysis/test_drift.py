@@ -32,7 +32,7 @@ def thresholds(*values):
     return Artifact(graph, None, Convention(1e-3))
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([popsan, spiking_mlp]))
 def test_on_the_ideal_chip_nothing_drifts(seed, network):
     artifact = network(seed=seed % 100)

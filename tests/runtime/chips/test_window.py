@@ -59,7 +59,7 @@ def _by_torch(found: Synapses, spikes: NDArray[np.int64]) -> NDArray[np.float64]
     return puts[:, :, :y, :x].round().reshape(len(spikes), -1).numpy()
 
 
-@settings(max_examples=80)
+@settings(max_examples=32)
 @given(synapses(), st.integers(0, 99), st.sampled_from([0.02, 0.5]))
 def test_the_matrix_of_a_window_is_that_of_torchs_convolution(
     found: Synapses, seed: int, density: float
@@ -77,7 +77,7 @@ def test_the_matrix_of_a_window_is_that_of_torchs_convolution(
     np.testing.assert_array_equal(found.sums(spikes, np.float32), spikes @ matrix)
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(synapses(), st.integers(0, 99))
 def test_both_ways_of_summing_agree(found: Synapses, seed: int) -> None:
     window = found.window

@@ -82,7 +82,7 @@ numbers = st.floats(-40, 40).map(lambda x: x if abs(x) > 1e-300 else 0.0)
 steps = st.one_of(st.floats(1e-4, 50), st.just(np.inf))
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(
     data=st.data(),
     most=st.integers(1, 5),

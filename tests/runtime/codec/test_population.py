@@ -21,7 +21,7 @@ def test_two_timesteps_have_three_patterns():
     np.testing.assert_allclose(table.edges, [0.3, 0.6], rtol=1e-15)
 
 
-@settings(max_examples=40)
+@settings(max_examples=16)
 @given(
     st.floats(0.05, 1.5),
     st.sampled_from([1, 2, 5, 16, MAX_TABLE_TIMESTEPS, MAX_TABLE_TIMESTEPS + 1]),

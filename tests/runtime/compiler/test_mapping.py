@@ -89,7 +89,7 @@ def test_neurons_of_a_core_divide_a_layer(size, cores):
     assert placed(dense(1, size), MIXED).placements[1].cores == cores
 
 
-@settings(max_examples=40)
+@settings(max_examples=16)
 @given(st.integers(1, 300), st.integers(1, 400), st.integers(1, 100), st.booleans())
 def test_a_division_fits_and_none_into_fewer_cores_does(size, fan_in, room, full):
     signs = [1.0] if full else [-1.0, 0.0, 1.0]

@@ -377,7 +377,7 @@ def test_sources_of_both_signs_are_counted_in_words():
     assert found.found == "1 of 2 sources with both positive and negative weights"
 
 
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(graphs(), st.sampled_from(list(CHIPS)), st.sampled_from(["zero", "subtract"]))
 def test_a_generated_graph_is_judged_or_refused_by_our_errors(network, name, reset):
     try:
@@ -391,7 +391,7 @@ def test_a_generated_graph_is_judged_or_refused_by_our_errors(network, name, res
             assert ruling.rule in ruling.describe(name)
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(
     st.floats(-8, 8),
     st.floats(0, 6),

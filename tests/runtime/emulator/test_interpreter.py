@@ -72,7 +72,7 @@ def test_sums_of_a_negative_exponent_are_rounded_down_together(shift):
     ]
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(random_programs(), st.sampled_from(["zero", "subtract"]), st.integers(0, 2**32 - 1))
 def test_membranes_before_their_reset_say_which_neurons_spiked(program, reset, seed):
     fixed = replace(program.chip.arithmetic, refractory=1)

@@ -17,7 +17,7 @@ from tests.networks import popsan
 from tests.programs import random_programs, rasters
 
 
-@settings(max_examples=40)
+@settings(max_examples=16)
 @given(random_programs(), runs)
 def test_a_chip_that_streams_shows_each_window_from_its_start_on(program, run):
     batch, timesteps, *_ = run
@@ -111,7 +111,7 @@ def test_a_machine_needs_at_least_one_network():
         Machine(compile_program(popsan(), chip("loihi1")), batch=0)
 
 
-@settings(max_examples=40)
+@settings(max_examples=16)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["zero", "subtract"]), st.sampled_from([1, 3]))
 def test_on_ideal_backends_agree_up_to_the_rounding_of_float64(seed, reset, batch):
     # they add up the same products in another order: equal but for rounding, until a membrane comes
@@ -151,7 +151,7 @@ def _with_real_weights(layer, rng):
     return replace(layer, synapses=synapses)
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(random_programs(), runs)
 def test_a_backend_shows_the_membranes_and_spikes_that_it_recorded(program, run):
     machine = Machine(program, run[0], trace=True)

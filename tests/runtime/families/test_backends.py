@@ -265,7 +265,7 @@ def test_it_equals_the_interpreter_in_every_current_membrane_spike_and_count(bac
 
 
 @compiled
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(convolved(compilable), runs)
 def test_kernels_of_convolutions_equal_their_matrices(program, run):
     raster = rasters(program, *run)[0]
@@ -278,7 +278,7 @@ def test_kernels_of_convolutions_equal_their_matrices(program, run):
 
 
 @compiled
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(random_networks(), runs)
 def test_networks_that_are_compiled_for_xylo_do_too(artifact, run):
     program = compile_program(artifact, chip("xylo-a2"), limits=False)
@@ -290,7 +290,7 @@ def test_networks_that_are_compiled_for_xylo_do_too(artifact, run):
 
 
 @compiled
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(xylo(), seeds)
 def test_up_to_15_events_of_an_axon_in_a_timestep_do_too(program, seed):
     counts = np.random.default_rng(seed).integers(0, 16, (2, 9, program.width)).astype(np.uint8)

@@ -30,7 +30,7 @@ def one_neuron(weights, decays, threshold=131071 << 6, **fields):
     return Program(WIDE, Convention(1e-3), "input", len(weight), (neuron,), "n", None)
 
 
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(random_programs(), st.integers(0, 2**32 - 1), st.sampled_from([0.2, 1.0]))
 def test_no_spikes_exceed_the_bounds(program, seed, rate):
     raster = rasters(program, 2, 6, rate, seed)[0]

@@ -75,7 +75,7 @@ def test_speck2f_has_the_floor_that_the_convention_wants(floor, least):
     assert ran(program, [[1]])[0] == [least]
 
 
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["none", "threshold"]))
 def test_speck2f_equals_sinabs_rule_on_the_numbers_that_its_tools_would_make(seed, floor):
     # sinabs: V += W s + b;  V / threshold spikes, without fraction;  V no lower than min_v_mem

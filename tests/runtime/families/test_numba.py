@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import tracemalloc
 from dataclasses import fields, replace
 from hashlib import sha256
 from importlib.util import find_spec
@@ -41,7 +40,7 @@ compiled = pytest.mark.skipif(
 
 
 @pytest.mark.parametrize("name", [pytest.param("numba", marks=compiled), "interpreter"])
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(random_programs().map(known), runs, st.booleans())
 def test_without_a_trace_it_equals_the_numpy_kernels_in_all_that_is_left(
     name, program, run, streaming
@@ -98,32 +97,6 @@ def test_states_that_are_kept_go_on_in_windows_of_another_length_where_numpy_doe
 
 
 @compiled
-@pytest.mark.parametrize("dtype", [np.bool_, np.uint8, np.uint32])
-def test_any_raster_that_numpy_takes_is_taken_in_any_layout(dtype):
-    program = compile_program(popsan(), chip("loihi1"))
-    raster = rasters(program, 3, 5, 0.3, seed=0)[0].astype(dtype)
-    expected = Machine(program, 3).infer(raster)
-    machine = Machine(program, 3, backend="numba")
-    np.testing.assert_array_equal(machine.infer(raster), expected)
-    np.testing.assert_array_equal(machine.infer(np.asfortranarray(raster)), expected)
-
-
-@compiled
-def test_an_output_is_not_changed_by_the_next_inference():
-    program = compile_program(popsan(), chip("loihi1"))
-    program = replace(program, readout=None)
-    busy, still = np.ones((1, 5, 30), np.uint8), np.zeros((1, 5, 30), np.uint8)
-    machine = Machine(program, trace=True, backend="numba")
-    output = machine.infer(busy)
-    recordings, kept = machine.recordings, output.copy()
-    membranes = {name: r.membrane.copy() for name, r in recordings.items()}
-    machine.infer(still)
-    np.testing.assert_array_equal(output, kept)
-    for name, membrane in membranes.items():
-        np.testing.assert_array_equal(recordings[name].membrane, membrane)
-
-
-@compiled
 def test_weights_and_sums_of_any_width_are_exact():
     narrow = compile_program(popsan(hidden=(40, 12)), chip("loihi1"), clock="gated")
     raster = rasters(narrow, 2, 5, 0.5, seed=3)[0]
@@ -164,33 +137,6 @@ def test_a_state_that_float64_cannot_decay_exactly_is_decayed_in_whole_numbers()
     raster = np.array([[[1, 0], [0, 1], [0, 0]]], np.uint8)
     machine.infer(raster)
     check_equal(machine.recordings, Interpreter(program, 1).run(raster))
-
-
-@compiled
-@pytest.mark.parametrize("rows", ["total", "none"])
-def test_a_step_into_memory_of_the_caller_allocates_nothing(rows):
-    program = compile_program(popsan(hidden=(300, 200)), chip("loihi1"))
-    machine = Machine(program, 4, ledger=rows, backend="numba")
-    raster = rasters(program, 4, 50, 0.3, seed=0)[0]
-    out = np.empty((4, 2))
-    expected = Machine(program, 4)
-
-    def run():
-        for step in range(50):
-            assert machine.step(raster[:, step], out) is out
-
-    run()
-    tracemalloc.start()
-    try:
-        run()
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    # views and numbers of Python come and go; one row of one layer would be 9,600
-    assert peak < 4_000
-    for step in range(100):
-        output = expected.step(raster[:, step % 50])
-    np.testing.assert_array_equal(out, output)
 
 
 @compiled

@@ -129,7 +129,7 @@ def test_truncation_is_the_formula_of_popsans_mapping(seed):
     check(layer, expected)
 
 
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([2, 3, 4, 5, 6, 8]),
@@ -147,7 +147,7 @@ def test_a_weight_of_loihi_is_off_by_half_a_step_at_most_and_stored_unchanged(se
     assert error.max() <= 0.5 * fixed.weight_step * layer.scale * 64 * (1 + 1e-9)
 
 
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(st.sampled_from(FIRE), st.integers(0, 2**32 - 1), st.sampled_from([0.1, 1.0, 30.0]))
 def test_a_weight_is_off_by_less_than_one_and_by_half_where_the_nearest_is_taken(name, seed, size):
     weight = size * np.random.default_rng(seed).normal(size=(6, 5))
@@ -163,7 +163,7 @@ def test_a_weight_is_off_by_less_than_one_and_by_half_where_the_nearest_is_taken
     assert room > (0.85 if rules.scaling == "full" else 0.42)
 
 
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["nearest", "truncate"]))
 def test_a_voltage_bias_is_as_near_as_its_smallest_exponent_allows(seed, rounding):
     rng = np.random.default_rng(seed)

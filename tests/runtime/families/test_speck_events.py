@@ -225,7 +225,7 @@ def random_network(seed, order, rule):
     return network(*layers, reset=reset, event_order=order, event_spikes=rule), rng
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["cyx", "yxc"]), st.booleans())
 def test_the_kernel_equals_its_specification_in_spikes_membranes_and_counts(seed, order, multi):
     program, rng = random_network(seed, order, "multi" if multi else "single")
@@ -253,16 +253,6 @@ def test_a_stream_in_parts_is_the_stream():
         np.testing.assert_array_equal(found, spikes.neuron)
         np.testing.assert_array_equal(np.concatenate(causes), spikes.cause)
     np.testing.assert_array_equal(whole.ledger.counts, parted.ledger.counts)
-
-
-def test_room_for_spikes_grows_with_what_an_event_can_cause(monkeypatch):
-    program, rng = random_network(3, "yxc", "multi")
-    events = rng.integers(0, program.width, 500)
-    expected = EventMachine(program).process(events)
-    module = "spikedeploy.runtime.families.integrate_and_fire.numba_events._ROOM"
-    monkeypatch.setattr(module, 1)
-    for layer, spikes in EventMachine(program).process(events).items():
-        np.testing.assert_array_equal(spikes.neuron, expected[layer].neuron)
 
 
 @pytest.mark.parametrize("order", ["cyx", "yxc"])
@@ -309,12 +299,3 @@ def test_what_has_no_place_event_by_event_is_refused():
     for wrong, said in ((biased, "rule bias"), (loop, "rule recurrence")):
         with pytest.raises(RuleError, match=said):
             arithmetic.prepare([wrong], "input", program.convention, 0, waits=False)
-
-
-def test_in_timesteps_a_neuron_above_its_threshold_hears_only_events_that_reach_it():
-    # adds and checks event by event; 35 - 10 leaves 25, which the next event there finds, and the
-    # one three places on does not
-    program = one_row([0, 35, 0], 10, queue="off", adds="event", checks="event")
-    found = trace(program, np.array([[[1, 0, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0]]], np.uint8))["n0"]
-    assert found.spikes[0].tolist() == [[1, 0, 0, 0], [0, 0, 0, 1], [1, 0, 0, 0]]
-    assert found.membrane[0, -1].tolist() == [50, 0, 0, 25]

@@ -112,7 +112,7 @@ def check_equal(program, raster, shift=0):
     return spikes
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(
     random_networks(),
     st.sampled_from(["layer", "channel"]),
@@ -132,7 +132,7 @@ def test_compiled_networks_equal_xylosim_in_every_current_membrane_and_spike(
     check_equal(program, raster.astype(np.uint8), shift)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(random_cores(), st.sampled_from([1, 15]), st.integers(0, 2**32 - 1))
 def test_registers_of_any_content_equal_xylosim(core, most, seed):
     program, shift = core

@@ -8,7 +8,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.float_model import FloatGraph, FloatNeurons
+from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.graph.order import order
 from tests.networks import chain, cuba, ends, graph, lif, popsan
 
@@ -96,37 +96,6 @@ def test_neurons_that_do_not_spike_put_out_their_membrane():
     found = network(chain(node, width=1, act=1)).run(column(1, 0, 0))
     assert found["output"].ravel().tolist() == [1.0, 1.0, 0.75]
     assert found.keys() == {"output"}
-
-
-# Input spikes and membranes of the single LIF neuron that the NIR paper ran on seven platforms
-# (Pedersen et al. 2024, github.com/neuromorphs/NIR paper/01_lif, BSD-3): tau 2.5 ms, dt 0.1 ms.
-PAPER_INPUT = [
-    *(60, 220, 270, 310, 320, 350, 370, 400, 410, *range(430, 540, 10), *range(670, 790, 10)),
-    *(840, 850),
-]
-
-
-@pytest.mark.parametrize(
-    ("integrator", "membranes", "scale"),
-    [
-        # lif_norse.csv, float32
-        ("euler", {60: 0.04, 450: 0.09984423, 530: 0.066593304, 999: 0.00016072649}, 1),
-        # lif_nengo.csv, membrane in units of the threshold
-        ("exponential", {60: 0.3921056112240662, 450: 0.9904669463681894}, 10),
-    ],
-    ids=["norse", "nengo"],
-)
-def test_the_neuron_of_the_nir_paper_equals_norse_and_nengo(integrator, membranes, scale):
-    convention = Convention(1e-4, integrator=integrator)
-    node = lif(1, tau=2.5e-3, r=1.0, threshold=0.1)
-    raster = np.zeros((1, 1000, 1))
-    raster[0, PAPER_INPUT] = 1
-    found = FloatGraph(Artifact(chain(node, width=1, act=1), None, convention)).run(raster)
-    assert found["n1"].ravel().nonzero()[0].tolist() == [460, 510, 710, 760]
-    for t, membrane in membranes.items():
-        neuron = FloatNeurons("n1", node, convention, np.float64)
-        neuron(raster[:, : t + 1])
-        assert abs(scale * neuron.membrane.item() - membrane) < 5e-8
 
 
 # graphs
@@ -243,14 +212,6 @@ def test_a_state_of_another_batch_is_refused():
     running.run(spikes_in(artifact, batch=2))
     with pytest.raises(ObservationError, match=r"state of 2 networks.* Call reset"):
         running.run(spikes_in(artifact, batch=3))
-
-
-def test_float32_computes_in_float32():
-    artifact = popsan()
-    raster = spikes_in(artifact, batch=100)
-    single, double = FloatGraph(artifact, np.float32).run(raster), FloatGraph(artifact).run(raster)
-    assert single["output"].dtype == np.float32
-    assert np.mean(single["n6"] != double["n6"]) < 1e-3
 
 
 # what is refused

@@ -81,14 +81,14 @@ def convolutions(draw, axes):
 
 # torch warns that it copies, where 'same' is odd
 @pytest.mark.filterwarnings("ignore:Using padding='same'")
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(st.integers(1, 2).flatmap(convolutions))
 def test_a_convolution_equals_torch(case):
     node, x = case
     np.testing.assert_allclose(ran(node, x), reference(node, x), rtol=0, atol=1e-12)
 
 
-@settings(max_examples=40)
+@settings(max_examples=16)
 @given(st.data())
 @pytest.mark.parametrize("kind", [nir.SumPool2d, nir.AvgPool2d])
 def test_a_pool_equals_torch_zeros_of_the_padding_counted(kind, data):

@@ -166,7 +166,7 @@ def compiled(artifact, on, **options):
         return None
 
 
-@settings(max_examples=80)
+@settings(max_examples=32)
 @given(ended(), st.integers(0, 1000), st.sampled_from([0, 1]), st.booleans(), st.booleans())
 def test_generated_networks_equal_the_float_graph_on_chip_and_host(
     network, seed, delay, kept, on_host
@@ -193,7 +193,7 @@ def test_generated_networks_equal_the_float_graph_on_chip_and_host(
                     np.testing.assert_array_equal(found.spikes, flat)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(ended(), st.integers(0, 1000), st.sampled_from(["loihi1", "loihi1-nengo"]))
 def test_generated_networks_on_loihi_equal_the_interpreter(network, seed, name):
     artifact = Artifact(network, None, Convention(1e-3))

@@ -131,7 +131,7 @@ def late_edges(network):
     return order(network, into).late - into
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(graphs(), st.integers(0, 1000))
 def test_a_generated_graph_equals_the_walk(network, seed):
     x = np.random.default_rng(seed).normal(size=(TIMESTEPS, 2))
@@ -140,7 +140,7 @@ def test_a_generated_graph_equals_the_walk(network, seed):
     np.testing.assert_allclose(found[0], wanted, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=60)
+@settings(max_examples=24)
 @given(graphs(), st.integers(0, 1000), st.sampled_from([0, 1]))
 def test_a_generated_graph_in_parts_equals_the_whole(network, seed, delay):
     x = np.random.default_rng(seed).normal(size=(3, TIMESTEPS, 2))

@@ -92,20 +92,6 @@ def test_a_broken_graph_inside_is_refused_by_its_node(edges, message):
         artifact(network)
 
 
-def test_a_graph_with_two_inputs_inside_is_refused_by_name():
-    inner = graph(
-        "a->cell, b->cell, cell->output",
-        a=nir.Input(np.array([2])),
-        **ends(),
-        cell=lif(2),
-        b=nir.Input(np.array([2])),
-    )
-    nodes = {**ends(), "n1": inner}
-    network = nir.NIRGraph(nodes, [("input", "n1"), ("n1", "output")], type_check=False)
-    with pytest.raises(ArtifactError, match=r"'n1': the graph inside it has . Input nodes \(a, b"):
-        artifact(network)
-
-
 def test_names_that_would_be_the_same_are_refused():
     nodes = {**ends(), "a": chain(lif(2), width=2, act=2), "a.n1": lif(2)}
     edges = [("input", "a"), ("a", "a.n1"), ("a.n1", "output")]

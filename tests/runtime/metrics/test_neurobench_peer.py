@@ -9,11 +9,9 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.metrics.neurobench import dense_operations
 from tests.measuring import (
     DT,
     IDEAL,
-    convolutions,
     measured,
     network,
     neurons_of,
@@ -160,66 +158,6 @@ def static(model):
     return {
         kind.__name__: kind()(model) for kind in (ConnectionSparsity, Footprint, ParameterCount)
     }
-
-
-def test_a_loop_is_counted_as_neurobench_counts_it(tool):
-    """With reset by subtraction: snnTorch computes the other one twice, and counts it twice."""
-    import snntorch
-    import torch
-    from neurobench.models import SNNTorchModel
-
-    rng = np.random.default_rng(0)
-    weight, loop = 0.6 * np.abs(pruned(rng, 12, 20)), 0.2 * pruned(rng, 12, 12)
-    neurons = lif(12, tau=DT / 0.1, r=10.0, threshold=2.5)
-    neurons.v_reset = np.zeros(12)
-    named = {"n1": nir.Linear(weight), "n2": neurons, "rec": nir.Linear(loop)}
-    ends = {"input": nir.Input(np.array([20])), "output": nir.Output(np.array([12]))}
-    edges = [("input", "n1"), ("n1", "n2"), ("n2", "rec"), ("rec", "n2"), ("n2", "output")]
-    convention = Convention(DT, reset="subtract")
-    artifact = Artifact(nir.NIRGraph({**ends, **named}, edges), None, convention)
-
-    class Twin(torch.nn.Module):
-        def __init__(self):
-            super().__init__()
-            options = {"reset_mechanism": "subtract", "reset_delay": False, "init_hidden": True}
-            self.n1 = torch_layer(named["n1"], convention, whole=False)
-            self.n2 = snntorch.RLeaky(beta=0.9, threshold=2.5, linear_features=12, **options)
-            self.n2.recurrent = torch_layer(named["rec"], convention, whole=False)
-
-        def forward(self, x):
-            return self.n2(self.n1(x)), None
-
-        def reset(self):
-            self.n2.reset_mem()
-
-    found = measured(compile_program(artifact, IDEAL), artifact.graph, raster())
-    wanted = theirs(tool, SNNTorchModel(Twin()), raster())
-    # it has no operations for a neuron with a loop
-    assert wanted.pop("NeuronOperations") == 0
-    assert {name: found[name] for name in wanted} == wanted
-    assert wanted["SynapticOperations"]["Effective_ACs"] > 1000
-
-
-@pytest.mark.parametrize("index", range(3))
-def test_the_operations_of_convolutions_are_neurobenchs(tool, index):
-    import torch
-    from neurobench.metrics.utils.layers import single_layer_MACs
-
-    node = convolutions()[index]
-    flat = isinstance(node, nir.Conv1d)
-    channels = node.weight.shape[1] * node.groups
-    layer = (torch.nn.Conv1d if flat else torch.nn.Conv2d)(
-        channels,
-        len(node.weight),
-        node.weight.shape[2:],
-        stride=node.stride,
-        padding=node.padding,
-        dilation=node.dilation,
-        groups=node.groups,
-    )
-    shape = (channels, *np.atleast_1d(node.input_shape).tolist())
-    wanted, _ = single_layer_MACs(torch.ones(1, *shape), layer, total=True)
-    assert dense_operations(nir.NIRGraph.from_list(node)) == wanted
 
 
 def convolutional():

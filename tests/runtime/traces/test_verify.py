@@ -285,7 +285,7 @@ SOURCES = [*sorted(GOLDEN.glob("*.json")), *(GOLDEN / "rtl").glob("odin_random*.
            *(GOLDEN / "rtl").glob("spiker*.json")]  # fmt: skip
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(st.sampled_from(SOURCES), st.randoms(use_true_random=False), JUNK)
 def test_junk_in_a_field_is_an_error_or_a_verdict_and_never_a_crash(
     tmp_path_factory, source, rng, junk
