@@ -14,7 +14,6 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.families import numba_frame as frame
 from spikedeploy.runtime.families.numba_frame import Array, Number
 from spikedeploy.runtime.families.numba_pipeline import (
-    EXACT_INT16,
     FamilyNumbers,
     NumbaPipeline,
     edges,
@@ -177,7 +176,7 @@ class XyloPipeline(NumbaPipeline):
         ]
         return FamilyNumbers(
             columns=[(each,) for each in most],
-            weights=np.int16 if largest <= EXACT_INT16 else np.int64,
+            weights=np.int32 if largest <= np.iinfo(np.int32).max else np.int64,
             states=np.int32,
             sums=(np.int32, np.int32),
             rules=[low, high, turned, largest],

@@ -31,6 +31,7 @@ NOT_RUN = {
     r".* --episodes 100\b": "minutes of episodes",
     r"run walker/libpolicy": "needs a build; test_native.py runs one",
     r"run hexapod/sparse --via": "needs a build; test_export_verilog.py runs one",
+    r"sweep .* --retry\b": "the sweep before it, which left nothing to retry",
     r"serve\b": "answers until it is stopped; test_server.py asks it",
     r"run .* --(rate|watch)\b": "twenty seconds by the clock; test_paced_loop.py runs one",
     r"run (policy|kept)\.nir": "needs a policy of the reader's own",
