@@ -321,6 +321,7 @@ def adapt(
     settings: settings of trainers.adapt.AdaptationSettings: epochs, batch, rate, patience,
         held_out, seed
     """
+    from spikedeploy.runtime.schema import validate
     from spikedeploy.trainers import adapt as adapting
 
     rows = read_rasters(Path(raster)) if isinstance(raster, str | Path) else raster
@@ -337,8 +338,9 @@ def adapt(
     return adapting.adapt(
         _network_of(network), chip, as_raster(rows),
         None if classes is None else np.asarray(classes), input_shape=input_shape, limits=limits,
-        settings=adapting.AdaptationSettings(**settings), resume=resume, interrupt=interrupt,
-        quiet=quiet, checkpoint=None if checkpoint is None else Path(checkpoint),
+        settings=validate(adapting.AdaptationSettings, settings, "adapt"), resume=resume,
+        interrupt=interrupt, quiet=quiet,
+        checkpoint=None if checkpoint is None else Path(checkpoint),
     )  # fmt: skip
 
 

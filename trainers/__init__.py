@@ -9,8 +9,8 @@ train.py          from the name of a recipe to a run folder
 runner.py         what all algorithms share: loop, validation, resuming; networks and optimisers
 env_batch.py      copies of an environment, stepped as a batch, brought back where they were
 run_folder.py     files of a run: configuration, lock, checkpoints with checksums
-metrics_file.py   the CSV file of a run, and its learning curve
-progress.py       progress bar, journal of metrics, signals that stop at a checkpoint
+metrics_file.py   journal of metrics: CSV file, TensorBoard; and the learning curve
+progress.py       progress bar, signals that stop at a checkpoint
 versions.py       installed versions
 onnx_session.py   ONNX Runtime session of a float network, tried within limits
 sac.py            soft actor-critic

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from torch import Tensor, nn
 
 from spikedeploy.runtime.artifact.artifact import Artifact, digest, load, save
@@ -35,6 +36,7 @@ from spikedeploy.runtime.errors import (
 )
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.config import Batch, Positive, Rate, Section
 from spikedeploy.trainers.from_torch import artifact_from_torch
 from spikedeploy.trainers.progress import Interrupt, ProgressBar
 from spikedeploy.trainers.run_folder import read_checkpoint, write_checkpoint
@@ -59,8 +61,7 @@ _NO_NUMBERS = (RuleError, ArtifactError)  # that a chip or a file holds, as thre
 _UNKNOWN_MEMORY = 1 << 32
 
 
-@dataclass(frozen=True)
-class AdaptationSettings:
+class AdaptationSettings(Section):
     """How it is trained.
 
     epochs: most passes over the samples
@@ -71,22 +72,12 @@ class AdaptationSettings:
     seed: seed of the samples held out and of the order of the others
     """
 
-    epochs: int = 60
-    batch: int = 64
-    rate: float = 1e-3
-    patience: int = 12
-    held_out: float = 0.2
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name, least in (("epochs", 1), ("batch", 1), ("patience", 1), ("seed", 0)):
-            found = getattr(self, name)
-            if not isinstance(found, int | np.integer) or found < least:
-                raise ConfigError(f"{name} is {found!r}; it is a whole number, at least {least}.")
-        if not 0 < self.rate < math.inf:
-            raise ConfigError(f"rate is {self.rate:g}; it must be above 0 and finite.")
-        if not 0 < self.held_out <= 0.5:
-            raise ConfigError(f"held_out is {self.held_out:g}; it is above 0 and at most 0.5.")
+    epochs: Positive = 60
+    batch: Batch = 64
+    rate: Rate = 1e-3
+    patience: Positive = 12
+    held_out: float = Field(default=0.2, gt=0, le=0.5)
+    seed: int = Field(default=0, ge=0)
 
 
 @dataclass(frozen=True)
@@ -522,24 +513,17 @@ def _fill(
 
 def _samples(raster: NDArray[Any], takes: Shape) -> NDArray[np.uint8]:
     """Return the raster as (B, T, *takes) in uint8."""
-    size, wanted = math.prod(takes), ", ".join(["B", "T", *map(str, takes)])
-    flat = raster.ndim == 3 and raster.shape[2:] == (size,)
-    if raster.shape[2:] != takes and not flat:
-        one = raster.shape[1:] in (takes, (size,))
-        remedy = (
-            "one sample is too few: adapt holds some out" if one else "give that of this network"
-        )
+    wanted = ", ".join(["B", "T", *map(str, takes)])
+    if raster.shape[2:] not in (takes, (math.prod(takes),)) or not raster.shape[1]:
         raise ObservationError(
-            f"the raster has shape {raster.shape}; many samples of this network have ({wanted}): "
-            f"{remedy}."
+            f"the raster has shape {raster.shape}; many samples of this network have ({wanted}), "
+            "at least one timestep each."
         )
     if len(raster) < _FEWEST:
         raise ObservationError(
             f"the raster holds {len(raster)} samples; at least {_FEWEST} are needed, since some "
-            f"are held out to validate. Give ({wanted}); a long recording can be cut into parts."
+            "are held out to validate. A long recording can be cut into parts."
         )
-    if not raster.shape[1]:
-        raise ObservationError("the raster has no timesteps. Give at least one.")
     if raster.min() < 0 or raster.max() > 255 or (raster != np.rint(raster)).any():
         raise ObservationError(
             f"the raster holds numbers from {raster.min():g} to {raster.max():g}; a chip takes "
@@ -551,24 +535,16 @@ def _samples(raster: NDArray[Any], takes: Shape) -> NDArray[np.uint8]:
 def _classes(labels: NDArray[Any], samples: int, puts: Shape) -> Tensor:
     """Return the labels (B,), each the number of an output."""
     found, outputs = np.asarray(labels), math.prod(puts)
-    if found.shape != (samples,):
-        raise ObservationError(
-            f"the labels have shape {found.shape}, and the raster holds {samples} samples. Give "
-            f"({samples},), a whole number for each sample."
-        )
-    if found.dtype.kind not in "biuf" or (found != np.rint(found)).any():
-        raise ObservationError(
-            "the labels are no whole numbers. Give the number of the right output, from 0."
-        )
     if outputs == 1:
         raise ObservationError(
             "the network has one output, and labels need one for each class. Leave --labels out: "
             "it is adapted to its float twin."
         )
-    if found.min() < 0 or found.max() >= outputs:
+    whole = found.dtype.kind in "biuf" and not (found != np.rint(found)).any()
+    if found.shape != (samples,) or not whole or found.min() < 0 or found.max() >= outputs:
         raise ObservationError(
-            f"the labels go from {found.min():g} to {found.max():g}; the network has {outputs} "
-            f"outputs, so that labels are from 0 to {outputs - 1}."
+            f"labels of shape {found.shape} and type {found.dtype} are not the number of the right "
+            f"output, from 0 to {outputs - 1}, for each of {samples} samples."
         )
     return torch.from_numpy(found.astype(np.int64))
 

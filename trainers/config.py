@@ -34,13 +34,13 @@ Events = Annotated[int, Field(ge=1, le=256)]
 Timesteps = Annotated[int, Field(gt=0, le=1_024)]
 
 
-class _Section(BaseModel):
+class Section(BaseModel):
     """A group of settings: frozen, without unknown keys, and every number finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Ramp(_Section):
+class Ramp(Section):
     """A value that changes linearly from `start` to `end` between two environment steps."""
 
     start: float
@@ -55,7 +55,7 @@ class Ramp(_Section):
         return self.start + (self.end - self.start) * share
 
 
-class EnvConfig(_Section):
+class EnvConfig(Section):
     """The environment: short name or id, options, and number of copies stepped as one batch."""
 
     name: str = "hexapod"
@@ -63,14 +63,14 @@ class EnvConfig(_Section):
     count: Copies = 4
 
 
-class MlpConfig(_Section):
+class MlpConfig(Section):
     """A float network; no hidden layers make it a linear policy."""
 
     kind: Literal["mlp"] = "mlp"
     hidden: tuple[Width, ...] = (512, 512)
 
 
-class PopsanConfig(_Section):
+class PopsanConfig(Section):
     """A population-coded spiking actor (Tang et al. 2020), with the hexapod's decay factors."""
 
     kind: Literal["popsan"] = "popsan"
@@ -84,7 +84,7 @@ class PopsanConfig(_Section):
     surrogate_width: Rate | None = None  # None: 2.0 for atan (alpha), 0.5 for rectangular
 
 
-class SpikingMlpConfig(_Section):
+class SpikingMlpConfig(Section):
     """Layers of LIF neurons and a linear readout of their firing rates, as in kart-simulator.
 
     coding: "regular" and "bernoulli" are rate codes for values in [-reach, reach], with evenly
@@ -104,7 +104,7 @@ class SpikingMlpConfig(_Section):
     surrogate_width: Rate | None = None  # None: 25 for fast-sigmoid, others as in PopsanConfig
 
 
-class NetworkConfig(_Section):
+class NetworkConfig(Section):
     """A network on a chip, between a code and a linear readout; see policies.chip_network.
 
     network: module:Class of a torch module, or a .nir file, whose numbers training begins with; one
@@ -151,7 +151,7 @@ class NetworkConfig(_Section):
         return self
 
 
-class DeltaSnnConfig(_Section):
+class DeltaSnnConfig(Section):
     """Signed events into a small layer of LIF neurons, and past it into leaky readouts.
 
     hidden: neurons; 0 leaves a delta-coded linear policy
@@ -176,7 +176,7 @@ class DeltaSnnConfig(_Section):
     surrogate_width: Rate = 2.0
 
 
-class PrunedMlpConfig(_Section):
+class PrunedMlpConfig(Section):
     """A small float network with a skip connection, pruned as the spiking ones are.
 
     hidden: widths of its layers; none make it a linear policy
@@ -205,14 +205,14 @@ def spiking_layers(policy: PolicyConfig) -> int:
     return len(policy.hidden) if isinstance(policy, SpikingMlpConfig) else 0
 
 
-class NormaliserConfig(_Section):
+class NormaliserConfig(Section):
     """Observation statistics: updated up to `finish` environment steps, then frozen."""
 
     finish: Count = 60_000
     clip: Rate = 4.0
 
 
-class ValidationConfig(_Section):
+class ValidationConfig(Section):
     """Deterministic episodes without support force, which choose the best checkpoint.
 
     every: environment steps between two validations
@@ -231,7 +231,7 @@ class ValidationConfig(_Section):
         return list(range(self.first_seed, self.first_seed + self.episodes))
 
 
-class RunConfig(_Section):
+class RunConfig(Section):
     """Settings that every algorithm has."""
 
     algorithm: str

@@ -223,7 +223,7 @@ def _states(module: nn.Module, outputs: object) -> list[Any]:
 class _Value(NamedTuple):
     """The origin of a tensor: the sum of the outputs of nodes in some of their calls.
 
-    terms: (node, call) of each, call counted from 0
+    terms: (node, call) of each, call counted from 0; of the input the timestep, or _WHOLE
     membrane_of: node of neurons whose membrane it is, which no map can read; empty for spikes
     made_by: function that made it, and that no node computes; else empty
     """
@@ -238,7 +238,8 @@ class _Value(NamedTuple):
         return (*filter(None, [self.membrane_of]), *(name for name, _ in self.terms))
 
 
-_GIVEN = _Value(((_INPUT, 0),))
+_WHOLE = -1  # of the input: one timestep, or all
+_GIVEN = _Value(((_INPUT, _WHOLE),))
 
 
 class _Tracer(TorchFunctionMode):
@@ -438,9 +439,10 @@ class _Tracer(TorchFunctionMode):
             known = [self._value(each) for each in _tensors(arguments)]
             if values := [each for each in known if each is not None]:
                 complete = len(values) == len(known)
-                self._know(
-                    result, self._value_of(name, arguments, options, result, values, complete)
-                )
+                value = self._value_of(name, arguments, options, result, values, complete)
+                for t, each in enumerate(_tensors(result)):
+                    of_input = name == "unbind" and value == _GIVEN
+                    self._know(each, _Value(((_INPUT, t),)) if of_input else value)
         return result
 
     def _note_written(self, target: Tensor, source: object) -> None:
@@ -479,14 +481,13 @@ class _Tracer(TorchFunctionMode):
         if unchanged and len(values) == 1:
             return value
         if function in _INDEXING and value == _GIVEN and self._has_timesteps(first):
-            self._check_index(function, arguments)
-            return _GIVEN
+            return self._timestep(function, arguments, options or {})
         if function in _ADDING and complete and _adds(arguments, options, values):
             return _Value(tuple(term for each in values for term in each.terms))
         if function in _STACKING and complete and len({each.names for each in values}) == 1:
             shape, before = self._shape(value, _tensors(first)[0]), _tensors(first)[0]
             if result.ndim > before.ndim or result.shape[result.ndim - len(shape) :] == shape:
-                return values[-1]  # timesteps of one node
+                return self._stacked(values)
         if function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
             return self._reshaped(function, first, result, value)
         return _Value(made_by=function)
@@ -496,12 +497,21 @@ class _Tracer(TorchFunctionMode):
             raise _TimeAxisError
         return given.ndim == len(self._takes) + 2
 
-    def _check_index(self, function: str, arguments: Sequence[Any]) -> None:
-        """Refuse indices of the input other than whole numbers, as in x[t] or x[:, t]."""
-        if function != "__getitem__":
-            return
-        place = arguments[1]
-        places = place if isinstance(place, tuple) else (place,)
+    def _timestep(
+        self, function: str, arguments: Sequence[Any], options: Mapping[str, Any]
+    ) -> _Value:
+        """Return a timestep of the input, as in x[t] or x[:, t]; all of `unbind`.
+
+        Raises ConfigError for other indices than whole numbers.
+        """
+        if function == "unbind":
+            return _GIVEN
+        given, *rest = arguments
+        if function == "select":
+            named = dict(zip(("dim", "index"), rest, strict=False)) | dict(options)
+            places: tuple[Any, ...] = (*[slice(None)] * named["dim"], named["index"])
+        else:
+            places = rest[0] if isinstance(rest[0], tuple) else (rest[0],)
         whole = [isinstance(each, int) for each in places]
         others = [each for each in places if not isinstance(each, int)]
         if sum(whole) != 1 or any(whole[2:]) or any(
@@ -509,10 +519,19 @@ class _Tracer(TorchFunctionMode):
             for each in others
         ):  # fmt: skip
             raise ConfigError(
-                f"{type(self._root).__name__}: its forward indexes its input by {place!r}; a "
+                f"{type(self._root).__name__}: its forward indexes its input by {places!r}; a "
                 "network on a chip takes one timestep after another. Index timesteps by whole "
                 "numbers, or write a forward of one timestep."
             )
+        axis = whole.index(True)
+        return _Value(((_INPUT, places[axis] % given.shape[axis]),))
+
+    def _stacked(self, values: Sequence[_Value]) -> _Value:
+        """Return what a stack of timesteps of one node comes from."""
+        if _INPUT not in values[-1].names:
+            return values[-1]
+        in_order = [each.terms for each in values] == [((_INPUT, t),) for t in range(len(values))]
+        return _GIVEN if in_order else _Value(made_by="stack")
 
     def _reshaped(self, function: str, before: Tensor, after: Tensor, value: _Value) -> _Value:
         takes = self._shape(value, before)
@@ -564,7 +583,8 @@ class _Tracer(TorchFunctionMode):
                 edges |= {(name, f"{name}.recurrent"), (f"{name}.recurrent", name)}
         for source, target in sorted(edge for edge, lag in found.items() if lag):
             if not _leads(target, source, edges):  # in a loop NIR delivers a timestep late anyway
-                nodes[f"{source}.delay"] = Delay(np.ones(nodes[source].puts, np.int64))
+                puts = self._takes if source == _INPUT else nodes[source].puts
+                nodes[f"{source}.delay"] = Delay(np.ones(puts, np.int64))
                 edges.remove((source, target))
                 edges |= {(source, f"{source}.delay"), (f"{source}.delay", target)}
         return TorchNetwork(nodes, sorted(edges), self._takes, nodes[output.names[0]].puts)
@@ -583,7 +603,7 @@ class _Tracer(TorchFunctionMode):
                 "layer works once in each. Make a layer of its own for each place."
             )
         found = [
-            {(s, 0 if self._is_static(s) else at - call) for s, call in value.terms}
+            {(s, 0 if self._is_static(s, call) else at - call) for s, call in value.terms}
             for at, value in enumerate(calls)
         ]
         wanted = found[-1]
@@ -595,11 +615,13 @@ class _Tracer(TorchFunctionMode):
             )
         if any(lag not in (0, 1) for _, lag in wanted):
             raise ConfigError(f"{target}: it receives what is several timesteps old.")
+        if len({source for source, _ in wanted}) < len(wanted):
+            raise ConfigError(f"{target}: it receives a layer's spikes of two timesteps at once.")
         return wanted
 
-    def _is_static(self, source: str) -> bool:
-        """Return True for the input, and for what was called once in front of a loop."""
-        return source == _INPUT or len(self.arrived[source]) == 1
+    def _is_static(self, source: str, call: int) -> bool:
+        """Return True for the whole input, and for what was called once in front of a loop."""
+        return call == _WHOLE if source == _INPUT else len(self.arrived[source]) == 1
 
 
 def _adds(

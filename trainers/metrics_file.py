@@ -1,61 +1,131 @@
-"""Tables of numbers that a training appends to, as CSV files, and the learning curve of one."""
+"""Metrics of a training: a journal that writes them, a reader of its CSV file, a learning curve."""
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.runtime.files import flush, replacing
-from spikedeploy.trainers.run_folder import write_errors
+from spikedeploy.runtime.files import replacing
+from spikedeploy.trainers.run_folder import RunFolder, write_errors
+
+if TYPE_CHECKING:
+    from spikedeploy.trainers.progress import ProgressBar
 
 _CURVES = {"episode_return": "training", "eval_return": "validation"}
 _MAX_BYTES = 100_000_000  # of a table, of which a training writes a thousandth
 _OPERATIONS = "eval_operations"  # pruning lowers the return, too
 
 
-class Metrics:
-    """A CSV file to which rows are appended; columns that a row lacks stay empty.
+class Journal:
+    """Rows of metrics, to a CSV file, TensorBoard and the progress bar, while an algorithm learns.
 
-    path: path of the file
-    columns: names, of which the first is the step
+    Columns that a row lacks stay empty in the file.
     """
 
-    def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
-        self.path, self.columns = path, columns
-
-    def begin(self) -> None:
-        """Write a file without rows, unless there is a file."""
-        if not self.path.exists():
+    def __init__(
+        self,
+        run: RunFolder,
+        columns: tuple[str, ...],
+        bar: "ProgressBar",
+        watch: Callable[[Path], None] | None = None,
+    ) -> None:
+        """columns: names, of which the first is the step; watch: called after each row."""
+        self._run, self._columns, self._watch = run, columns, watch
+        self.board = _TensorBoardLog(run.path)
+        self.bar = bar
+        if not run.metrics.exists():
             self._write([])
 
+    def move_to(self, step: int, total: int) -> None:
+        """Report progress."""
+        self.bar.move_to(step, total)
+
     def add(self, row: Mapping[str, float]) -> None:
-        """Append one row."""
-        with write_errors(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
-            csv.DictWriter(file, self.columns).writerow(_rounded(row))
+        """Report one row of metrics; values without a column are dropped."""
+        known = {name: row[name] for name in self._columns if name in row}
+        path = self._run.metrics
+        with write_errors(path), path.open("a", newline="", encoding="utf-8") as file:
+            csv.DictWriter(file, self._columns).writerow(_rounded(known))
+        shown = {}  # what TensorBoard and people see of a validation, and the CSV has not
+        if (success := row.get("eval_success", row.get("eval_finish"))) is not None:
+            shown["eval_success"] = success
+        if (rate := spike_rate(row)) is not None:
+            shown["spike_rate"] = rate
+        self.board.add(int(row[self._columns[0]]), {**known, **shown})
+        self.bar.show({**row, **shown})
+        if self._watch is not None:
+            self._watch(self._run.path)
 
-    def rewind(self, step: float) -> None:
-        """Drop the rows after a step, which a resumed run writes again, and one that is cut off."""
-        found = self.path.read_bytes()
-        rows = _table(self.path, found[: found.rfind(b"\n") + 1])
-        self._write([row for row in rows if row.get(self.columns[0], math.inf) <= step])
+    def rewind(self, step: int, logged: float | None) -> None:
+        """Drop the rows after a step, which a resumed run writes again, and one that is cut off.
 
-    def flush(self) -> None:
-        """Put the rows onto the disk, before a checkpoint relies on them."""
-        if self.path.is_file():
-            flush(self.path)
+        logged: step of the last row that was written before; ConfigError where rows end earlier
+        """
+        path, name = self._run.metrics, self._columns[0]
+        found = path.read_bytes()
+        rows = _table(path, found[: found.rfind(b"\n") + 1])
+        last = max((row.get(name, -math.inf) for row in rows), default=-math.inf)
+        if rows and last < (logged or -math.inf):
+            raise ConfigError(
+                f"{path} is damaged: its rows end at {last:g}, and were written up to {logged:g}. "
+                "Put it back, or move it away: then a new one begins. The policy is not affected."
+            )
+        if logged is not None and not rows:
+            print(f"{path} has no rows: they begin at {step:,}", file=sys.stderr)
+        self._write([row for row in rows if row.get(name, math.inf) <= step])
+        self.board.rewind(step)
+
+    def close(self) -> None:
+        """Close the files."""
+        self.board.close()
 
     def _write(self, rows: Iterable[Mapping[str, float]]) -> None:
+        path = self._run.metrics
         with (
-            write_errors(self.path),
-            replacing(self.path) as part,
+            write_errors(path),
+            replacing(path) as part,
             part.open("w", newline="", encoding="utf-8") as file,
         ):
-            writer = csv.DictWriter(file, self.columns)
+            writer = csv.DictWriter(file, self._columns)
             writer.writeheader()
             writer.writerows(_rounded(row) for row in rows)
+
+
+class _TensorBoardLog:
+    """TensorBoard event file in the run folder; does nothing if TensorBoard is not installed."""
+
+    def __init__(self, folder: Path) -> None:
+        self._writer: Any = None
+        self._folder = folder
+        if find_spec("tensorboard") is not None:
+            self._open()
+
+    def _open(self, purge_step: int | None = None) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._writer = SummaryWriter(str(self._folder), purge_step=purge_step)
+
+    def rewind(self, step: int) -> None:
+        """Let TensorBoard hide the points after a step."""
+        if self._writer is not None:
+            self._writer.close()
+            self._open(step + 1)
+
+    def add(self, step: int, row: Mapping[str, float]) -> None:
+        """Add one point to the curve of each column."""
+        if self._writer is not None:
+            for name, value in row.items():
+                self._writer.add_scalar(name, value, step)
+
+    def close(self) -> None:
+        """Flush and close the file."""
+        if self._writer is not None:
+            self._writer.close()
 
 
 def read(path: Path) -> list[dict[str, float]]:

@@ -1,23 +1,18 @@
-"""Progress of a training: a bar on a terminal, a journal of metrics, signals that ask to stop."""
+"""Progress of a training: a bar on a terminal, and signals that ask to stop."""
 
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import timedelta
-from importlib.util import find_spec
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
-
-from spikedeploy.trainers.metrics_file import Metrics, spike_rate
-from spikedeploy.trainers.run_folder import RunFolder
 
 # metrics below the bar, and their formats, the most wanted first
 _SHOWN = {
@@ -108,83 +103,6 @@ class ProgressBar:
                 time_left = "" if left is None else f"{timedelta(seconds=round(left))} left"
                 parts = count, f"{100 * step / total:.0f} %", time_left, self._bar.note
                 print("  ".join(filter(None, parts)), file=sys.stderr, flush=True)
-
-
-class Journal:
-    """Rows of metrics, to CSV file, TensorBoard and progress bar, while an algorithm learns."""
-
-    def __init__(
-        self,
-        run: RunFolder,
-        columns: tuple[str, ...],
-        bar: ProgressBar,
-        watch: Callable[[Path], None] | None = None,
-    ) -> None:
-        """watch: is called with the run folder after each row."""
-        self._path, self._watch = run.path, watch
-        self.metrics = Metrics(run.metrics, columns)
-        self.metrics.begin()
-        self.board = _TensorBoardLog(run.path)
-        self.bar = bar
-
-    def move_to(self, step: int, total: int) -> None:
-        """Report progress."""
-        self.bar.move_to(step, total)
-
-    def add(self, row: Mapping[str, float]) -> None:
-        """Report one row of metrics; values without a column are dropped."""
-        known = {name: row[name] for name in self.metrics.columns if name in row}
-        self.metrics.add(known)
-        shown = {}  # what TensorBoard and people see of a validation, and the CSV has not
-        if (success := row.get("eval_success", row.get("eval_finish"))) is not None:
-            shown["eval_success"] = success
-        if (rate := spike_rate(row)) is not None:
-            shown["spike_rate"] = rate
-        self.board.add(int(row[self.metrics.columns[0]]), {**known, **shown})
-        self.bar.show({**row, **shown})
-        if self._watch is not None:
-            self._watch(self._path)
-
-    def rewind(self, step: int) -> None:
-        """Drop the rows after a step, on resuming from it."""
-        self.metrics.rewind(step)
-        self.board.rewind(step)
-
-    def close(self) -> None:
-        """Close the files."""
-        self.board.close()
-
-
-class _TensorBoardLog:
-    """TensorBoard event file in the run folder; does nothing if TensorBoard is not installed."""
-
-    def __init__(self, folder: Path) -> None:
-        self._writer: Any = None
-        self._folder = folder
-        if find_spec("tensorboard") is not None:
-            self._open()
-
-    def _open(self, purge_step: int | None = None) -> None:
-        from torch.utils.tensorboard import SummaryWriter
-
-        self._writer = SummaryWriter(str(self._folder), purge_step=purge_step)
-
-    def rewind(self, step: int) -> None:
-        """Let TensorBoard hide the points after a step."""
-        if self._writer is not None:
-            self._writer.close()
-            self._open(step + 1)
-
-    def add(self, step: int, row: Mapping[str, float]) -> None:
-        """Add one point to the curve of each column."""
-        if self._writer is not None:
-            for name, value in row.items():
-                self._writer.add_scalar(name, value, step)
-
-    def close(self) -> None:
-        """Flush and close the file."""
-        if self._writer is not None:
-            self._writer.close()
 
 
 class Interrupt:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, ClassVar, Generic
 
 import numpy as np
@@ -23,9 +24,9 @@ from spikedeploy.trainers.config import (
     spiking_layers,
 )
 from spikedeploy.trainers.env_batch import EnvBatch
+from spikedeploy.trainers.metrics_file import Journal
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.policies.policy import Moments, full_precision
-from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import RunFolder, with_prefix
 
 # info of the environment -> metric: mean over steps, root mean square, and value at the end
@@ -125,6 +126,7 @@ class Runner(ABC, Generic[C]):
     VALIDATES_AT_END: whether the last policy is validated, even if it is not due
     policy: what is validated and saved
     best: highest validation return so far
+    logged: step of the last row of metrics; None before there is one
     """
 
     Config: ClassVar[type[RunConfig]]
@@ -150,6 +152,7 @@ class Runner(ABC, Generic[C]):
         torch.manual_seed(config.seed)
         self._rng = np.random.default_rng(config.seed)
         self.best = -np.inf
+        self.logged: float | None = None
         self._returns: list[float] = []  # of the episodes since the last row of metrics
         self._clock = time.perf_counter(), 0
 
@@ -230,6 +233,7 @@ class Runner(ABC, Generic[C]):
         if row or self._due(self._log_every, before):
             best = {"best": self.best} if np.isfinite(self.best) else {}
             journal.add({**self._row(), **row, **best})
+            self.logged = self.step
         if self._due(self._checkpoint_every, before):
             self._checkpoint()
 
@@ -265,7 +269,8 @@ class Runner(ABC, Generic[C]):
     def _checkpoint(self) -> None:
         """Save everything that resuming needs."""
         done = {"finished": self.finished, "share": self.share}
-        state = {**self._counters(), "returns": self._returns, **done, **self._state()}
+        counters = {**self._counters(), "logged": self.logged, "returns": self._returns, **done}
+        state = {**counters, **self._state()}
         state["rng"] = self._rng.bit_generator.state
         tensors = {**self.learner.tensors(), **self._tensors(), "torch_rng": torch.get_rng_state()}
         if self._run.metrics.is_file():
@@ -280,24 +285,30 @@ class Runner(ABC, Generic[C]):
     def resume(self) -> None:
         """Restore the checkpoint "last"; ConfigError where its network is another one."""
         state, tensors = self._run.load("last")
-        self._check_policy(state["policy"])
+        check_policy(self._run.path, state["policy"], self.policy)
         self.learner.load(tensors)
         for name in self.COUNTERS:
             if not isinstance(getattr(type(self), name, None), property):
                 setattr(self, name, state[name])
         self.best = -np.inf if state["best"] is None else state["best"]
-        self._returns = state["returns"]
+        self.logged, self._returns = state["logged"], state["returns"]
         self._rng.bit_generator.state = state["rng"]
         self._restore(state, tensors)
         torch.set_rng_state(tensors["torch_rng"])  # last, as restoring may draw
         self._run.write_numbers("last", state)  # a kill may have come before them
 
-    def _check_policy(self, before: Mapping[str, Any]) -> None:
-        now = self.policy.spec()
-        fixed = set(now) - {"two_valued"}  # which training finds
-        if changed := sorted(name for name in fixed if before.get(name) != now[name]):
-            some = ", ".join(f"{name} is {before.get(name)!s:.80}" for name in changed)
-            raise ConfigError(f"a resumed run keeps its network, and in {self._run.path} {some}")
+
+def check_policy(path: Path, before: Mapping[str, Any], policy: Policy) -> None:
+    """Refuse a run to be resumed with another network than that of its checkpoint.
+
+    path: of the run
+    before: spec of the policy in the checkpoint
+    """
+    now = policy.spec()
+    fixed = set(now) - {"two_valued"}  # which training finds
+    if changed := sorted(name for name in fixed if before.get(name) != now[name]):
+        some = ", ".join(f"{name} is {before.get(name)!s:.80}" for name in changed)
+        raise ConfigError(f"a resumed run keeps its network, and in {path} {some}")
 
 
 class EnvRunner(Runner[C]):

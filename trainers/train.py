@@ -17,9 +17,10 @@ import torch
 
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import ALGORITHMS, metrics_file
+from spikedeploy.trainers import ALGORITHMS
 from spikedeploy.trainers.config import C, amend, require_known, resolve
-from spikedeploy.trainers.progress import Interrupt, Journal, ProgressBar
+from spikedeploy.trainers.metrics_file import Journal, draw_curve
+from spikedeploy.trainers.progress import Interrupt, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import RunFolder, write_errors
 from spikedeploy.trainers.runner import Runner
@@ -84,7 +85,6 @@ def train(
     with run.locked():
         try:
             runner = kind(config, run)
-            run.write_config(runner.config)
             _learn(runner, run, quiet, stopped, watch)
         except BaseException:  # Ctrl-C too
             if not run.begun:
@@ -108,13 +108,14 @@ def _resumed(
     if env not in (None, there := before["env"]["name"]):
         raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
     kind = algorithm(before["algorithm"])
-    config = amend(run.config(kind.Config), file=config_file, overrides=overrides)
+    former = run.config(kind.Config)
+    config = _budgeted(amend(former, file=config_file, overrides=overrides), budget)
     run.sweep()
-    runner: Runner[Any] = kind(_budgeted(config, budget), run)
+    runner: Runner[Any] = kind(config, run)
     if run.begun:  # else it was killed before anything was learned
         runner.resume()
-    if not runner.finished:  # else nothing is trained with other settings
-        run.write_config(runner.config)
+    if runner.finished and config != former:
+        print(f"{run.path} was trained, and keeps its configuration", file=sys.stderr)
     return runner
 
 
@@ -157,12 +158,14 @@ def _learn(
         journal = Journal(run, runner.columns(runner.config), stopped.bar, watch)
         try:
             if run.begun:
-                journal.rewind(runner.step)
-            else:
+                journal.rewind(runner.step, runner.logged)
+            if not (run.begun and runner.finished):  # else nothing is trained with other settings
+                run.write_config(runner.config)
+            if not run.begun:
                 runner.begin()
             runner.learn(journal, stopped)
         finally:
             journal.close()
     stopped.share = None if runner.finished else runner.share
     with write_errors(run.path / "curve.png") as picture:
-        metrics_file.draw_curve(run.metrics, picture, run.path.name)
+        draw_curve(run.metrics, picture, run.path.name)

@@ -20,9 +20,9 @@ from safetensors import SafetensorError
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
-from spikedeploy.trainers.metrics_file import read
+from spikedeploy.trainers.metrics_file import Journal, read
 from spikedeploy.trainers.policies import MlpPolicy
-from spikedeploy.trainers.progress import Journal, ProgressBar
+from spikedeploy.trainers.progress import ProgressBar
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sac import SacConfig
 from spikedeploy.trainers.train import train
@@ -70,13 +70,14 @@ def test_a_run_leaves_all_its_files(tmp_path, world):
     assert json.loads((run / "versions.json").read_text())["torch"] == torch.__version__
 
 
-def test_a_finished_run_is_left_as_it_is(tmp_path, world):
+def test_a_finished_run_is_left_as_it_is(tmp_path, world, capsys):
     run = train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
     before = (run / "checkpoints" / "last.safetensors").read_bytes()
     train("smoke", resume=run, runs=tmp_path, quiet=True)
     assert (run / "checkpoints" / "last.safetensors").read_bytes() == before
     settings = (run / "config.json").read_bytes()
     train("smoke", resume=run, overrides=["steps=300"], runs=tmp_path, quiet=True)
+    assert "was trained, and keeps its configuration" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="has no replay"):
         train("smoke", resume=run, overrides=["steps=800"], runs=tmp_path, quiet=True)
     assert (run / "config.json").read_bytes() == settings
@@ -222,7 +223,7 @@ def test_people_and_tensorboard_see_success_and_spike_rate(
     assert capsys.readouterr().err.strip().endswith(seen)
     ((step, scalars),) = points
     assert (step, len(scalars)) == (5, 2)
-    assert read(journal.metrics.path) == [{"step": 5.0}]
+    assert read(journal._run.metrics) == [{"step": 5.0}]
 
 
 def test_tensorboard_gets_the_columns_of_a_row_at_its_step(tmp_path, monkeypatch):
@@ -241,12 +242,12 @@ def test_tensorboard_gets_the_columns_of_a_row_at_its_step(tmp_path, monkeypatch
     board = ModuleType("torch.utils.tensorboard")
     board.SummaryWriter = Writer
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", board)
-    monkeypatch.setattr("spikedeploy.trainers.progress.find_spec", lambda name: True)
+    monkeypatch.setattr("spikedeploy.trainers.metrics_file.find_spec", lambda name: True)
     run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
     with ProgressBar("", quiet=True) as bar:
         journal = Journal(run, ("step", "eval_finish"), bar)
         journal.add({"step": 5, "eval_finish": 0.5, "of_no_column": 1.0})
-        journal.rewind(5)
+        journal.rewind(5, None)
         journal.close()
     assert points == [("step", 5, 5), ("eval_finish", 0.5, 5), ("eval_success", 0.5, 5)]
     assert folders == [(str(run.path), None), (str(run.path), 6)]
@@ -287,15 +288,24 @@ def interrupted(tmp_path, world):
     return train("smoke", overrides=TINY, runs=tmp_path, quiet=True)
 
 
-def test_damaged_metrics_are_refused_and_missing_ones_begin_anew(interrupted):
-    file = interrupted / "metrics.csv"
-    file.write_bytes(damaged := b"env_steps,updates\n1,2,3\n")
-    with pytest.raises(ConfigError, match=r"metrics\.csv is no table of numbers"):
-        train("smoke", resume=interrupted, quiet=True)
+@pytest.mark.parametrize(("damage", "word"), [
+    (lambda old: b"env_steps,updates\n1,2,3\n", "no table of numbers"),
+    (lambda old: old.split(b"\n", 1)[1], "rows end at|no table"),
+    (lambda old: b"\n".join(old.split(b"\n")[:3]) + b"\n", "rows end at 80, and .* to 160"),
+])  # fmt: skip
+def test_damaged_metrics_are_refused(damage, word, interrupted):
+    file, before = interrupted / "metrics.csv", (interrupted / "config.json").read_bytes()
+    file.write_bytes(damaged := damage(file.read_bytes()))
+    with pytest.raises(ConfigError, match=word):
+        train("smoke", resume=interrupted, overrides=["steps=800"], quiet=True)
     assert file.read_bytes() == damaged
-    file.unlink()
+    assert (interrupted / "config.json").read_bytes() == before
+
+
+def test_without_metrics_a_resumed_run_says_that_rows_begin_anew(interrupted, capsys):
+    (interrupted / "metrics.csv").unlink()
     train("smoke", resume=interrupted, quiet=True)
-    assert read(file)[0]["env_steps"] > last(interrupted)["env_steps"] / 3
+    assert "metrics.csv has no rows: they begin at 1" in capsys.readouterr().err
 
 
 def test_a_picture_of_damaged_metrics_is_refused_by_name(tmp_path):

@@ -539,3 +539,44 @@ def test_axons_change_a_network_once_and_say_so(name, tmp_path):
         warnings.simplefilter("error")
         again = on_chip(load(module.save(tmp_path / "net.nir")), name)
     assert torch.equal(again(raster(8)), expected)
+
+
+class Looping(nn.Module):
+    """A loop over timesteps, of which each reads what `pick` gives it of the input."""
+
+    def __init__(self, pick):
+        super().__init__()
+        torch.manual_seed(0)
+        self.fc, self.pick = nn.Linear(4, 3), pick
+        self.lif = snn.Leaky(0.9, reset_mechanism="subtract", init_hidden=False)
+
+    def forward(self, x):
+        membrane, found = self.lif.init_leaky(), []
+        for t in range(len(x)):
+            spikes, membrane = self.lif(self.fc(self.pick(x, t)), membrane)
+            found.append(spikes)
+        return torch.stack(found)
+
+
+def before(x, t):
+    return x[t - 1] if t else torch.zeros(x.shape[1:])
+
+
+@pytest.mark.parametrize("pick", [lambda x, t: x[t], lambda x, t: x.select(0, t), before,
+                                  lambda x, t: x.unbind()[t]])  # fmt: skip
+def test_a_timestep_is_read_by_its_number(pick):
+    net = Looping(pick)
+    spikes = (torch.rand(12, 5, 4) < 0.5).float()
+    with torch.no_grad():
+        found = sd.on_chip(net, "ideal", (4,))(spikes)
+        wanted = sd.on_chip(Looping(lambda x, t: x[t]), "ideal", (4,))(
+            torch.stack([pick(spikes, t) for t in range(12)])
+        )
+    assert torch.equal(found, wanted)
+
+
+@pytest.mark.parametrize("pick", [lambda x, t: x[t - 1], lambda x, t: x[0], lambda x, t: x[-1 - t],
+                                  lambda x, t: x[t] + before(x, t)])  # fmt: skip
+def test_a_loop_that_reads_other_timesteps_is_refused(pick):
+    with pytest.raises(ConfigError, match=r"fc|Looping"):
+        sd.on_chip(Looping(pick), "ideal", (4,))

@@ -36,9 +36,9 @@ from spikedeploy.trainers.config import (
 )
 from spikedeploy.trainers.distill.teachers import teacher
 from spikedeploy.trainers.env_batch import TRAINING_SEEDS
+from spikedeploy.trainers.metrics_file import Journal
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, means, minibatches
-from spikedeploy.trainers.progress import Journal
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
 from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, set_rate
 from spikedeploy.trainers.sparse.batch_controllers import FloatController, controller_of

@@ -18,8 +18,8 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import NetworkConfig
 from spikedeploy.trainers.policies import build, from_config
 from spikedeploy.trainers.run_folder import RunFolder
+from spikedeploy.trainers.runner import check_policy
 from spikedeploy.trainers.torch_network import Weights
-from spikedeploy.trainers.train import _check_sizes as check_sizes
 from spikedeploy.trainers.train import train
 from tests.trainers.test_resume import After
 
@@ -292,11 +292,10 @@ def test_a_network_that_resets_otherwise_is_no_network_to_be_resumed(tmp_path):
         from_config(NetworkConfig(network=f"tests.own_networks:{name}", chip="spinnaker2"), 3, 2)
         for name in ("Net", "Subtracts")
     )
-    state = {"policy": student.spec()}
-    assert state["policy"]["network"] == other.spec()["network"]
-    check_sizes(tmp_path, state, student)
-    with pytest.raises(ConfigError, match="another now than in"):
-        check_sizes(tmp_path, state, other)
+    assert student.spec()["network"] == other.spec()["network"]
+    check_policy(tmp_path, student.spec(), student)
+    with pytest.raises(ConfigError, match="keeps its network"):
+        check_policy(tmp_path, student.spec(), other)
 
 
 def test_layers_that_share_a_matrix_have_one_each_and_it_is_said(capsys):
