@@ -11,7 +11,7 @@ import math
 import zlib
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -257,18 +257,6 @@ def open_with_traces(
 
 
 @dataclass(frozen=True)
-class Inference:
-    """One inference of T timesteps.
-
-    spikes: "input" and every spiking layer -> (T, N); graded ones as they are
-    membranes: layer -> (N,) after the last timestep [state units]; empty in float
-    """
-
-    spikes: Mapping[str, NDArray[Any]]
-    membranes: Mapping[str, Floats]
-
-
-@dataclass(frozen=True)
 class NetworkTrace:
     """A spiking network in S inferences of T timesteps.
 
@@ -292,7 +280,9 @@ class Step:
     reward: reward of the step
     info: numbers of the environment
     pose: pose of the scene after it; None without one
-    inference: inference of a policy that spikes
+    spikes: of a policy that spikes: "input" and every spiking layer -> (T, N); graded ones as they
+        are
+    membranes: layer -> (N,) after the last timestep [state units]; empty in float
     ledger: ledger of this inference; None where it cannot be counted
     """
 
@@ -300,7 +290,8 @@ class Step:
     reward: float
     info: Mapping[str, float]
     pose: Floats | None = None
-    inference: Inference | None = None
+    spikes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    membranes: Mapping[str, Floats] = field(default_factory=dict)
     ledger: Ledger | None = None
 
 
@@ -322,7 +313,7 @@ class StepTracer:
             recorder.reward,
             recorder.numbers,
             self._scene.pose() if self._scene else None,
-            _last_inference(self._network) if self._network else None,
+            *(_last_inference(self._network) if self._network else ({}, {})),
             self._counted.since(before) if before and self._counted else None,
         )
 
@@ -334,16 +325,18 @@ class StepTracer:
             return None
 
 
-def _last_inference(player: NirController) -> Inference:
-    """The last inference of a traced player."""
+def _last_inference(
+    player: NirController,
+) -> tuple[dict[str, NDArray[Any]], dict[str, Floats]]:
+    """Spikes and membranes of the last inference of a traced player."""
     controller = player.controller
     spikes = {"input": controller.encoded, **controller.network.spikes}
     flat = {name: each[0].reshape(len(each[0]), -1) for name, each in spikes.items()}
     if player.chip is None:
-        return Inference(flat, {})
+        return flat, {}
     seen = controller.network.recordings
     names = [each.name for each in player.program.spiking]
-    return Inference(flat, {n: np.array(seen[n].membrane[0, -1], np.float64) for n in names})
+    return flat, {n: np.array(seen[n].membrane[0, -1], np.float64) for n in names}
 
 
 def trace_network(steps: Sequence[Step], table: str) -> NetworkTrace | None:
@@ -351,7 +344,7 @@ def trace_network(steps: Sequence[Step], table: str) -> NetworkTrace | None:
 
     table: energy table
     """
-    each = [step.inference for step in steps if step.inference]
+    each = [step for step in steps if step.spikes]
     if not each:
         return None
     ledgers = [step.ledger for step in steps if step.ledger]

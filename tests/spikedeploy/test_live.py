@@ -87,9 +87,8 @@ def test_the_rate_is_the_environments_and_large_layers_are_left_out_by_name(stro
     run_policy("stroll/popsan", None, None, [0], loop=WatchedLoop(view, None, None, None))
     assert (view.begun[-1]["rate"], view.deadline) == (50.0, 1 / 50)
     watched = view.steps[0]
-    wide = {**watched.step.inference.spikes, "input": np.zeros((5, 9000), np.uint8)}
-    inference = replace(watched.step.inference, spikes=wide)
-    uncounted = replace(watched.step, inference=inference, ledger=None)
+    wide = {**watched.step.spikes, "input": np.zeros((5, 9000), np.uint8)}
+    uncounted = replace(watched.step, spikes=wide, ledger=None)
     data = data_of(steps_event([replace(watched, step=uncounted)], view.table, 1.0))
     assert data["network"]["left_out"] == ["input: 9,000 neurons"]
     assert data["network"]["sops"] is None
