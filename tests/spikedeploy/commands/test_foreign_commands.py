@@ -54,7 +54,7 @@ def test_from_an_unregistered_environment_to_a_chip(here, command):
     assert (code, row["chip"], row["success_rate"]) == (0, "loihi1", None)
 
     assert command("drift", "last", "--steps", 5, "--json")[0] == 0
-    assert command("check", run.name[:12], "--chip", "loihi1", "--json")[0] == 0
+    assert command("check", run.name, "--chip", "loihi1", "--json")[0] == 0
     code, _, err = command("drift", run / f"{run.name}.nir")
     assert code == 2
     assert "is not run because a file names it" in err

@@ -21,7 +21,7 @@ def test_a_command_explains_every_option_in_few_panels(verb, command):
     assert len(sizes) <= 7
     assert max(sizes.values()) <= 13
     if verb in ("run", "compare", "emulate", "drift"):
-        assert sizes["Output"] >= 4
+        assert sizes["Output"] >= 3
         assert sizes[None] <= 11
     code, out, _ = command(verb, "--help")
     assert (code, "--json" in out, "--chips" in out) == (0, True, False)
