@@ -174,7 +174,7 @@ def test_an_export_names_the_file_and_no_folder_of_the_machine(to, tmp_path, com
     source = tmp_path / "some" / "where" / "mine.nir"
     source.parent.mkdir(parents=True)
     shutil.copy(zoo.resolve("kart-grid/snn"), source)
-    more = ("--chip", "loihi1") if to != "verilog" else ()
+    more = ("--observations", 20, *(("--chip", "loihi1") if to != "verilog" else ()))
     code, _, err = command("export", source, "--to", to, *more, "-o", tmp_path / "out")
     assert code == 0, err
     texts = [path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()]
