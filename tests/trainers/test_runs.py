@@ -35,6 +35,11 @@ TINY = [
 ]  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def curves():
+    """Learning curves, drawn as for users."""
+
+
 @pytest.fixture
 def world(monkeypatch):
     """A tiny environment that can send Ctrl-C at a step of its choice."""
