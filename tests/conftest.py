@@ -62,6 +62,14 @@ def pytest_ignore_collect(collection_path, config):
     return True if collection_path == LAB and not wanted else None
 
 
+@pytest.fixture(autouse=True)
+def curves(monkeypatch):
+    """Leave learning curves out, a third of a short training; tests/trainers/test_runs.py draws."""
+    from spikedeploy.trainers import metrics_file
+
+    monkeypatch.setattr(metrics_file, "draw_curve", lambda *_: None)
+
+
 @pytest.fixture
 def command(monkeypatch, capsys):
     """Run a command line; its exit code, stdout and stderr.
