@@ -34,7 +34,13 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.copies import Copyable
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.runtime.graph.neurons import GRADED_MOST, NEURONS, SPIKING, SigmaDelta, discretise
+from spikedeploy.runtime.graph.discretisation import (
+    GRADED_MOST,
+    NEURONS,
+    SPIKING,
+    SigmaDelta,
+    discretise,
+)
 from spikedeploy.runtime.graph.order import Edge, delay_timesteps, sources
 from spikedeploy.runtime.graph.ports import by_port, check_unmasked, ports
 from spikedeploy.runtime.graph.shapes import (
@@ -283,7 +289,7 @@ class FloatNeurons:
 
 
 class SigmaDeltaNeurons(FloatNeurons):
-    """A layer of sigma-delta neurons (runtime.graph.neurons); puts out graded spikes.
+    """A layer of sigma-delta neurons (runtime.graph.discretisation); puts out graded spikes.
 
     sent: (B, *N) graded spikes so far, added up.
     """

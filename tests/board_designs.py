@@ -13,9 +13,9 @@ import pytest
 from spikedeploy.exporters.rendering import render
 from spikedeploy.exporters.verilog import board_files as written
 from spikedeploy.exporters.verilog.boards import board
+from spikedeploy.exporters.verilog.eda_tools import find_tool
 from spikedeploy.exporters.verilog.image import core_image
 from spikedeploy.exporters.verilog.to_verilog import core_files
-from spikedeploy.exporters.verilog.tools import find_tool
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import compile_program, own_clock
 from spikedeploy.runtime.convention import CLOCKS

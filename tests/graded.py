@@ -5,7 +5,7 @@ import numpy as np
 
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
-from spikedeploy.runtime.graph.neurons import SigmaDelta
+from spikedeploy.runtime.graph.discretisation import SigmaDelta
 from tests.networks import graph
 
 DT = 1e-3

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from spikedeploy.exporters.verilog.bench import BENCH, bench_files, record
+from spikedeploy.exporters.verilog.eda_tools import find_tool
 from spikedeploy.exporters.verilog.image import FORGET, STEP, core_image
 from spikedeploy.exporters.verilog.simulation import PROGRAM
 from spikedeploy.exporters.verilog.to_verilog import CORE, SIMULATION, core_files, template
-from spikedeploy.exporters.verilog.tools import find_tool
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register

@@ -21,7 +21,7 @@ through_chip.py   any network as a torch module whose forward pass is a chip
 adapt.py          a network trained on through a chip, towards labels or its float twin
 from_torch.py     what a torch module computes in a timestep
 torch_layers.py   its leaf modules as nodes; torch_neurons/: neurons of other libraries
-neurons.py        LIF and CuBa-LIF layers with surrogate gradients, compiled, and firing rates
+surrogate_neurons.py  LIF and CuBa-LIF layers with surrogate gradients, compiled, and firing rates
 fitting.py        the nearest weights that the axons of a chip carry
 torch_network.py  NIR nodes whose numbers are torch parameters
 policies/         torch policies: MLP, PopSAN, spiking MLP, event-driven and pruned ones

@@ -26,10 +26,10 @@ from spikedeploy.trainers.config import (
     ValidationConfig,
     Width,
 )
-from spikedeploy.trainers.neurons import excess_rate
 from spikedeploy.trainers.policies import Policy, from_config
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam, descend, set_rate
+from spikedeploy.trainers.surrogate_neurons import excess_rate
 
 _HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 _SMALL = 0.01  # initial scale of the last layer: nearly equal actions (Andrychowicz et al. 2021)

@@ -29,11 +29,11 @@ from spikedeploy.trainers.config import (
     Width,
 )
 from spikedeploy.trainers.env_batch import Steps
-from spikedeploy.trainers.neurons import excess_rate
 from spikedeploy.trainers.policies import from_config
 from spikedeploy.trainers.policies.policy import Latent, Moments, Policy, full_precision
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Critic, EnvRunner, Learner, adam
+from spikedeploy.trainers.surrogate_neurons import excess_rate
 
 _AVERAGED = 10  # at first the averaged policy spans the last 1/10 of the updates
 _LOG_STD = (-20.0, 2.0)  # limits (Haarnoja et al. 2018)

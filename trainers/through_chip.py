@@ -45,7 +45,7 @@ from spikedeploy.runtime.families.numba_frame import kept_on_disk
 from spikedeploy.runtime.graph.order import Timing, timing
 from spikedeploy.trainers.fitting import fit
 from spikedeploy.trainers.from_torch import given_shape, network_from_torch
-from spikedeploy.trainers.neurons import Surrogate, surrogate
+from spikedeploy.trainers.surrogate_neurons import Surrogate, surrogate
 from spikedeploy.trainers.torch_network import (
     Delay,
     Equation,
@@ -138,8 +138,8 @@ class ChipModule(nn.Module):
     convention: convention of the network, and of the files that `save` writes
     codec: codec of the files that `save` writes, where the network drives a robot
     limits: refuse what breaks a design rule of the chip
-    surrogate_name, surrogate_width: of the derivative of a spike, as in trainers.neurons; by
-        default that of each neuron, else atan
+    surrogate_name, surrogate_width: of the derivative of a spike, as in
+        trainers.surrogate_neurons; by default that of each neuron, else atan
     detach_reset: let no gradient through the reset
     spikes: name -> (T, B, *shape) of each layer in the last forward pass with gradients; membranes
         of layers that do not spike

@@ -4,7 +4,8 @@ A `TorchNetwork` is a graph of maps without a memory (`Weights`, `Fixed`), which
 delays, and neurons, which a chip computes. `TorchNetwork.artifact` writes the present numbers as
 NIR; `network_of` reads them from an artifact. `from_torch` makes a network of a torch module.
 
-Neurons are the difference equation of `runtime.graph.neurons`, with gains that stay as they are:
+Neurons are the difference equation of `runtime.graph.discretisation`, with gains that stay as they
+are:
 
     I[t] = a I[t-1] + gain x[t]        V[t] = b V[t-1] + I[t] + leak
 """
@@ -24,10 +25,10 @@ from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.graph.neurons import NEURONS
+from spikedeploy.runtime.graph.discretisation import NEURONS
 from spikedeploy.runtime.graph.shapes import Shape, shape_of, window_of
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.neurons import Surrogate
+from spikedeploy.trainers.surrogate_neurons import Surrogate
 
 Edge: TypeAlias = tuple[str, str]
 Array: TypeAlias = NDArray[np.float64]

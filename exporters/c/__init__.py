@@ -6,7 +6,7 @@ to_c          a program and its codec, or a float network, as files of C; memory
 plan          what templates are filled with: integers of layers, types, spikes that are kept
 bounds        how large the numbers of a program get
 refusals      programs, codes and names that are not written in C
-codec         numbers of encoders and decoders in doubles
+codec_values  numbers of encoders and decoders in doubles
 int16         the interface in 16-bit integers: what its C equals bit for bit
 int8          a float network in 8-bit weights: what its C equals bit for bit
 declarations  numbers and arrays of C in the narrowest types; templates filled

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from spikedeploy.exporters.c.bounds import Magnitudes, bound
 from spikedeploy.exporters.c.declarations import as_lists, bytes_of, narrowest, narrowest_of
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import Layer
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.compiler.program import OutputTerm, Program

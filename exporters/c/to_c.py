@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.c.codec import codec_values
+from spikedeploy.exporters.c.codec_values import codec_values
 from spikedeploy.exporters.c.declarations import (
     Declarations,
     bytes_of,

@@ -10,7 +10,7 @@ refusals      programs that the core does not compute, by the name of a rule
 boards        FPGA, clock and pins of boards; boards.toml
 resources     cells and memories that a core takes, predicted
 board_files   files around a core on a board: top module, UART, constraints, Makefile, host
-tools         programs that build and simulate, found automatically
+eda_tools     programs that build and simulate, found automatically
 templates/    policy_core.v, bench.v, sim_main.cpp: the core and its simulation; uart.v, link.v,
               top.v: its way to a host; host.py and link.py: the host; Makefile, *.py around them
 """

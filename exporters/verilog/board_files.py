@@ -16,10 +16,10 @@ from spikedeploy.exporters.verilog.bench import (
     record,
 )
 from spikedeploy.exporters.verilog.boards import Board
+from spikedeploy.exporters.verilog.eda_tools import TOOLS
 from spikedeploy.exporters.verilog.image import CoreImage
 from spikedeploy.exporters.verilog.resources import Buffer, Use, predict
 from spikedeploy.exporters.verilog.to_verilog import template
-from spikedeploy.exporters.verilog.tools import TOOLS
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.program import Program
 

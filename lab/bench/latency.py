@@ -29,7 +29,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec, PopulationEncoder
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.errors import ArtifactError
-from spikedeploy.runtime.graph.neurons import discretise
+from spikedeploy.runtime.graph.discretisation import discretise
 
 SHIPPED = Path(spikedeploy.zoo.__file__).parent / "hexapod" / "popsan.nir"
 STEPS = 200  # of the walk, and inferences in each round

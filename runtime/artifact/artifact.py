@@ -27,7 +27,7 @@ from spikedeploy.runtime.dialects.reading import finite_nodes, read_as_written, 
 from spikedeploy.runtime.dialects.rewriting import rewrite_for
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
 from spikedeploy.runtime.files import replacing
-from spikedeploy.runtime.graph.neurons import (
+from spikedeploy.runtime.graph.discretisation import (
     NEURONS,
     DiscreteNeuron,
     SigmaDelta,

@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from spikedeploy.runtime.chips.window import Window
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import RuleError
 
@@ -151,7 +151,7 @@ class Layer:
     aliases: for each neuron those that its spikes are counted for too (Xylo); empty is none.
     spiking: False for a readout layer: it never spikes, and its membranes leave the chip instead.
         Its threshold is infinite, or NEVER.
-    graded: whether its neurons are sigma-delta neurons (runtime.graph.neurons): they send
+    graded: whether its neurons are sigma-delta neurons (runtime.graph.discretisation): they send
         signed whole numbers of thresholds; the voltage bias is added before the rectification.
     v_reset: (N,) membrane to which a spike resets integrate-and-fire neurons [state units]; the
         compiler refuses all but 0, which some recorded runs have.

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.chips.window import Window
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.errors import ArtifactError, RuleError
-from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
+from spikedeploy.runtime.graph.discretisation import NEURONS, SPIKING
 from spikedeploy.runtime.graph.order import Edge, in_waves, neighbours, order, reach, sources
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, Shape, shape_of, window_of
 

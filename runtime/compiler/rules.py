@@ -19,7 +19,7 @@ from spikedeploy.runtime.chips.chip import READOUTS, Chip, Limits
 from spikedeploy.runtime.compiler.lowering import Lowering, Population, lower
 from spikedeploy.runtime.compiler.mapping import CoreMapping, Placement, map_to_cores
 from spikedeploy.runtime.errors import RuleError
-from spikedeploy.runtime.graph.neurons import SPIKING
+from spikedeploy.runtime.graph.discretisation import SPIKING
 from spikedeploy.runtime.graph.order import delay_timesteps
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS, DENSE, POOLS, window_of
 

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.artifact.artifact import Artifact
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import MAX_BYTES, Synapses, check_matrix
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.lowering import (
     BIASED,
     LINEAR,
@@ -38,7 +38,7 @@ from spikedeploy.runtime.compiler.lowering import (
 from spikedeploy.runtime.compiler.program import Output, OutputTerm
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.float_model import Node, build_node
-from spikedeploy.runtime.graph.neurons import NEURONS, SPIKING
+from spikedeploy.runtime.graph.discretisation import NEURONS, SPIKING
 from spikedeploy.runtime.graph.ports import Port, ports
 from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,

@@ -5,7 +5,7 @@ parameters, and may write others than it reads: Norse misreads its own files.
 
 dialect          what is known of a tool, and the steps that tools share
 tools            Lava, Nengo, Norse, Rockpool, sinabs, SpikingJelly; the tables of all tools
-snntorch         snnTorch
+snntorch_import  snnTorch
 reading          a file as a tool reads it, or as the tool that wrote it means it
 rewriting        a network in the scaling that the import of a tool accepts
 """

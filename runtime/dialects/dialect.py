@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConventionError
-from spikedeploy.runtime.graph.neurons import (
+from spikedeploy.runtime.graph.discretisation import (
     CURRENT_BASED,
     ROUNDING,
     SPIKING,

@@ -20,7 +20,7 @@ from spikedeploy.runtime.dialects.dialect import (
 )
 from spikedeploy.runtime.dialects.tools import PRESETS, WRITERS
 from spikedeploy.runtime.errors import ConventionError
-from spikedeploy.runtime.graph.neurons import float64, rounded_timestep
+from spikedeploy.runtime.graph.discretisation import float64, rounded_timestep
 
 _T = TypeVar("_T")
 

@@ -2,7 +2,7 @@
 
 Importers fix dt and gains, and ignore or refuse what they do not expect: snnTorch 1.0.0 takes a
 CubaLIF with r = tau_mem/dt at dt = 0.1 ms only, Norse ignores r of a LIF. The difference equation
-(runtime.graph.neurons) leaves a choice that they do not see. With s > 0 for each neuron,
+(runtime.graph.discretisation) leaves a choice that they do not see. With s > 0 for each neuron,
 
     V' = s V,  threshold' = s threshold,  v_reset' = s v_reset,  leak' = s leak
     W' = W s gain / gain of the tool
@@ -34,7 +34,7 @@ from spikedeploy.runtime.dialects.dialect import (
 from spikedeploy.runtime.dialects.reading import preset, read_like
 from spikedeploy.runtime.dialects.tools import IMPORTERS
 from spikedeploy.runtime.errors import ConfigError, ConventionError
-from spikedeploy.runtime.graph.neurons import SPIKING, DiscreteNeuron, discretise
+from spikedeploy.runtime.graph.discretisation import SPIKING, DiscreteNeuron, discretise
 from spikedeploy.runtime.graph.shapes import DENSE
 
 _ROUNDED = 1e-9  # relative difference of numbers that only rounding distinguishes

@@ -36,13 +36,13 @@ from spikedeploy.runtime.dialects.dialect import (
     with_zero_reset,
     without_padding,
 )
-from spikedeploy.runtime.dialects.snntorch import (
+from spikedeploy.runtime.dialects.snntorch_import import (
     SNNTORCH,
     SNNTORCH_IMPORTER,
     SNNTORCH_WRITER,
 )
 from spikedeploy.runtime.errors import ConventionError
-from spikedeploy.runtime.graph.neurons import SPIKING, DiscreteNeuron, float64
+from spikedeploy.runtime.graph.discretisation import SPIKING, DiscreteNeuron, float64
 from spikedeploy.runtime.graph.order import order
 
 # Lava: its import in the NIR paper; its export by lava_to_nir.py, for the .net files of lava-dl

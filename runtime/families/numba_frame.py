@@ -6,8 +6,9 @@ timesteps, counts, and puts out what leaves the chip; what a layer does in a tim
 of its family, which `kernel` puts in its place.
 
 Sums are event-driven: only axons that spiked are looked at. In a matrix the weights of an axon are
-a row. Those of a window (runtime.chips.window) are stored by channel of the source and the channels
-of the target innermost, so that they are contiguous too, and are added to a plane in that order.
+a row. Those of a window (runtime.chips.convolution) are stored by channel of the source and the
+channels of the target innermost, so that they are contiguous too, and are added to a plane in that
+order.
 """
 
 from collections.abc import Callable

@@ -9,9 +9,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import Layer, Recording, Synapses
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.copies import NotCopyable
 from spikedeploy.runtime.emulator.backend import (

@@ -3,7 +3,7 @@
 The float model and the compiler both start from here, so that they agree on every neuron's
 coefficients and every edge's delay.
 
-neurons          the difference equation of a NIR neuron, the timestep that its gains imply;
+discretisation   the difference equation of a NIR neuron, the timestep that its gains imply;
                  sigma-delta neurons
 shapes           the shapes of every node, windows of convolutions, and the work of a timestep
 order            execution order, late edges and delays in timesteps

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConventionError, node_error
-from spikedeploy.runtime.graph.neurons import NEURONS, ROUNDING
+from spikedeploy.runtime.graph.discretisation import NEURONS, ROUNDING
 from spikedeploy.runtime.graph.shapes import CONVOLUTIONS
 
 Edge: TypeAlias = tuple[str, str]

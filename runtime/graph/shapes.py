@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.errors import ArtifactError, node_error
-from spikedeploy.runtime.graph.neurons import NEURONS
+from spikedeploy.runtime.graph.discretisation import NEURONS
 
 Shape: TypeAlias = tuple[int, ...]
 

@@ -10,7 +10,7 @@ import nir
 import numpy as np
 
 from spikedeploy.runtime.errors import ArtifactError, node_error
-from spikedeploy.runtime.graph.neurons import CURRENT_BASED, LEAKY, NEURONS, SPIKING
+from spikedeploy.runtime.graph.discretisation import CURRENT_BASED, LEAKY, NEURONS, SPIKING
 from spikedeploy.runtime.graph.order import neighbours, reach
 from spikedeploy.runtime.graph.shapes import (
     CONVOLUTIONS,

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.runtime.chips.chip import chip as datasheet
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import Layer, Synapses, plain_layer
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.emulator.interpreter import trace

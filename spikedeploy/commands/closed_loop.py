@@ -337,8 +337,8 @@ def play(
     if record is not None:
         check_output("--record", record, (policy, track), force)
     check_display()
+    from spikedeploy.play.drive_app import DriveApp, show
     from spikedeploy.play.session import open_session
-    from spikedeploy.play.window import DriveApp, show
     from spikedeploy.setup import parse_options
     from spikedeploy.shipping.exported_run import runnable
 

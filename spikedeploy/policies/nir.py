@@ -43,7 +43,7 @@ from spikedeploy.runtime.emulator.ledger import Ledger, Rows
 from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployError
 from spikedeploy.runtime.files import read_json
-from spikedeploy.runtime.graph.neurons import SPIKING
+from spikedeploy.runtime.graph.discretisation import SPIKING
 from spikedeploy.runtime.metadata import Provenance, Record
 from spikedeploy.setup import Setup
 

@@ -26,11 +26,11 @@ from spikedeploy.exporters.verilog.bench import clocks_of
 from spikedeploy.exporters.verilog.board_files import MARK, board_files
 from spikedeploy.exporters.verilog.boards import Board
 from spikedeploy.exporters.verilog.boards import board as board_named
+from spikedeploy.exporters.verilog.eda_tools import make_variables, require_tool
 from spikedeploy.exporters.verilog.image import CoreImage, core_image
 from spikedeploy.exporters.verilog.resources import Use, predict
 from spikedeploy.exporters.verilog.simulation import PROGRAM, RtlProcess
 from spikedeploy.exporters.verilog.to_verilog import core_files
-from spikedeploy.exporters.verilog.tools import make_variables, require_tool
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies.registry import find
 from spikedeploy.runtime.artifact.artifact import load

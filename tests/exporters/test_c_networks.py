@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from spikedeploy.exporters.c.to_c import network_in_c
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import Layer, Synapses
 from spikedeploy.runtime.chips.registers import Register
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.exporters.c.codec import exponents
+from spikedeploy.exporters.c.codec_values import exponents
 from spikedeploy.runtime.artifact.artifact import Artifact, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.codec import Codec, DeltaEncoder, Normaliser

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from spikedeploy.exporters.verilog.tools import find_tool
+from spikedeploy.exporters.verilog.eda_tools import find_tool
 from spikedeploy.runtime import CHIPS
 from tests.project.test_docs import checkout  # noqa: F401  the folder of the reader
 from tests.project.tutorials import PAGES, commands, fails, missing, parts, programs, short

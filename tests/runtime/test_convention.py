@@ -4,7 +4,7 @@ import pytest
 
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConventionError
-from spikedeploy.runtime.graph.neurons import discretise
+from spikedeploy.runtime.graph.discretisation import discretise
 from spikedeploy.runtime.metadata import Record
 
 

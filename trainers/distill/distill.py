@@ -28,11 +28,11 @@ from spikedeploy.trainers.config import (
 from spikedeploy.trainers.distill.teacher import FloatArray, Teacher, compute_cross_entropy
 from spikedeploy.trainers.distill.teachers import policy_teacher, score, teacher
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.neurons import excess_rate, firing_rates, mean_rate
 from spikedeploy.trainers.policies import Policy, PopsanPolicy, from_config
 from spikedeploy.trainers.policies.policy import Moments
 from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Learner, Runner, adam, set_rate
+from spikedeploy.trainers.surrogate_neurons import excess_rate, firing_rates, mean_rate
 
 
 class DistillConfig(RunConfig):

@@ -37,7 +37,6 @@ from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import NetworkConfig
 from spikedeploy.trainers.fitting import alternating, fit
 from spikedeploy.trainers.from_torch import network_from_torch
-from spikedeploy.trainers.neurons import mean_rate
 from spikedeploy.trainers.policies.delta_policy import DT
 from spikedeploy.trainers.policies.policy import Head, Latent
 from spikedeploy.trainers.policies.spiking import (
@@ -46,6 +45,7 @@ from spikedeploy.trainers.policies.spiking import (
     TorchPopulationEncoder,
     TorchRateEncoder,
 )
+from spikedeploy.trainers.surrogate_neurons import mean_rate
 from spikedeploy.trainers.through_chip import ChipModule, convention_on, nearest_remark
 from spikedeploy.trainers.torch_network import (
     FreeNeurons,

@@ -42,7 +42,6 @@ from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import DeltaSnnConfig
-from spikedeploy.trainers.neurons import spike, surrogate
 from spikedeploy.trainers.policies.policy import (
     Head,
     Latent,
@@ -50,6 +49,7 @@ from spikedeploy.trainers.policies.policy import (
     PrunedWeight,
     TorchNormaliser,
 )
+from spikedeploy.trainers.surrogate_neurons import spike, surrogate
 from spikedeploy.trainers.torch_network import to_array
 
 Array = NDArray[np.float64]

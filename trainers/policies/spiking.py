@@ -9,14 +9,14 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.trainers.neurons import (
+from spikedeploy.trainers.policies.policy import Head, Latent, Policy, TorchNormaliser
+from spikedeploy.trainers.surrogate_neurons import (
     cuba_lif,
     firing_rates,
     integrate_and_fire,
     mean_rate,
     surrogate,
 )
-from spikedeploy.trainers.policies.policy import Head, Latent, Policy, TorchNormaliser
 
 _REACH = 3.0  # initial centres are spaced evenly within +-3 standard deviations (Tang et al. 2020)
 _INITIAL_STD = math.sqrt(0.15)  # (Tang et al. 2020)
@@ -97,7 +97,7 @@ class PopsanPolicy(Policy):
     layers: nn.Linear into each spiking layer; the last has P neurons for every action
     decoder_weight, decoder_bias: (act, P), (act,) from output rates to the action before tanh
     alpha, beta, threshold: decay factors of current and membrane, and threshold, of all neurons
-    surrogate, surrogate_width: see `trainers.neurons`
+    surrogate, surrogate_width: see `trainers.surrogate_neurons`
     """
 
     kind = "popsan"
@@ -236,7 +236,7 @@ class SpikingMlpPolicy(CodedPolicy):
 
     layers: nn.Linear into each spiking layer
     beta, threshold: decay factor and threshold of every membrane, which a spike sets to zero
-    surrogate, surrogate_width: see `trainers.neurons`
+    surrogate, surrogate_width: see `trainers.surrogate_neurons`
     """
 
     kind = "spiking-mlp"

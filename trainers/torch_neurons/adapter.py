@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.neurons import Surrogate
+from spikedeploy.trainers.surrogate_neurons import Surrogate
 from spikedeploy.trainers.torch_network import Neurons, Weights
 
 

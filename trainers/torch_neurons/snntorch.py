@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from spikedeploy.runtime.convention import Reset
 from spikedeploy.runtime.graph.shapes import Shape
-from spikedeploy.trainers.neurons import Surrogate, surrogate
+from spikedeploy.trainers.surrogate_neurons import Surrogate, surrogate
 from spikedeploy.trainers.torch_network import Equation, Weights
 from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons, derivative_of
 

@@ -1,7 +1,7 @@
 """CuBa-LIF neurons: the registers that hold them in integers, and one timestep.
 
 `update` and `float_update` are the specification that everything fast is tested to equal.
-Sigma-delta neurons (runtime.graph.neurons), which the interpreter alone runs, have the same
+Sigma-delta neurons (runtime.graph.discretisation), which the interpreter alone runs, have the same
 registers.
 """
 

@@ -30,6 +30,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import (
     Layer,
     LayerState,
@@ -38,7 +39,6 @@ from spikedeploy.runtime.chips.layer import (
     StepResult,
     Synapses,
 )
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.families.integrate_and_fire.neurons import (
     Integers,

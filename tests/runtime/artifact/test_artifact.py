@@ -9,7 +9,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact, digest, load, save
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ArtifactError, ConventionError, SpikedeployError
-from spikedeploy.runtime.graph.neurons import discretise
+from spikedeploy.runtime.graph.discretisation import discretise
 from spikedeploy.runtime.metadata import Provenance
 from tests.networks import chain, codec, cuba, ends, lif, popsan
 

@@ -22,7 +22,7 @@ from spikedeploy.runtime.dialects.tools import WRITERS
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConventionError, RuleError
 from spikedeploy.runtime.float_model import FloatGraph
-from spikedeploy.runtime.graph.neurons import discretise
+from spikedeploy.runtime.graph.discretisation import discretise
 from tests.networks import chain, cuba, lif, popsan
 
 # tau in timesteps for which exp(-1/tau) = 0.5

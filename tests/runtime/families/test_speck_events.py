@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spikedeploy.runtime.chips.chip import chip
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import Synapses, plain_layer
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.emulator.interpreter import trace

@@ -11,7 +11,7 @@ import pytest
 from spikedeploy.runtime.artifact.artifact import Artifact, digest, load, save
 from spikedeploy.runtime.errors import ArtifactError
 from spikedeploy.runtime.float_model import FloatGraph
-from spikedeploy.runtime.graph.neurons import SigmaDelta
+from spikedeploy.runtime.graph.discretisation import SigmaDelta
 from tests.graded import GRADED, INPUT, OUTPUT, SIGMA, delta_network, one_neuron, rasters
 
 

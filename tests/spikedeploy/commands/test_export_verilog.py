@@ -11,7 +11,7 @@ import pytest
 from spikedeploy.commands.exporting import FormatOptions
 from spikedeploy.commands.open_loop import check
 from spikedeploy.exporters.verilog.boards import board_names
-from spikedeploy.exporters.verilog.tools import find_tool
+from spikedeploy.exporters.verilog.eda_tools import find_tool
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.shipping.verilog import RECORD, read_folder
 from tests.networks import event_driven

@@ -7,9 +7,9 @@ import pytest
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.rollout import Rollout, rollout
-from spikedeploy.play import window
+from spikedeploy.play import drive_app as window
+from spikedeploy.play.drive_app import DriveApp
 from spikedeploy.play.session import CommandedPolicyDriver, KeyboardDriver, open_session
-from spikedeploy.play.window import DriveApp
 from spikedeploy.runtime.errors import ConfigError
 from tests import toy_stroll_env
 from tests.windows import play, press, release

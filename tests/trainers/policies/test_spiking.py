@@ -5,13 +5,13 @@ from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import neurons
-from spikedeploy.trainers.neurons import (
+from spikedeploy.trainers.policies import build
+from spikedeploy.trainers.policies.spiking import TorchRateEncoder
+from spikedeploy.trainers.surrogate_neurons import (
     cuba_lif,
     integrate_and_fire,
     surrogate,
 )
-from spikedeploy.trainers.policies import build
-from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 
 ALPHA, BETA, THRESHOLD = 0.9, 0.8, 0.5
 

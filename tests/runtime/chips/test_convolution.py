@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from torch.nn.functional import conv2d
 
-from spikedeploy.runtime.chips import window as windows
+from spikedeploy.runtime.chips import convolution as windows
+from spikedeploy.runtime.chips.convolution import Window
 from spikedeploy.runtime.chips.layer import Synapses
-from spikedeploy.runtime.chips.window import Window
 from spikedeploy.runtime.errors import RuleError
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from spikedeploy.exporters.verilog import tools
+from spikedeploy.exporters.verilog import eda_tools as tools
 from spikedeploy.runtime.errors import ConfigError
 from tests.board_designs import export, needs
 from tests.networks import event_driven

@@ -27,7 +27,7 @@ from spikedeploy.runtime.dialects.dialect import (
     with_parameters,
     with_zero_reset,
 )
-from spikedeploy.runtime.graph.neurons import SPIKING, float64
+from spikedeploy.runtime.graph.discretisation import SPIKING, float64
 
 _TOOL = "snnTorch 1.0.0"
 _RATE = 1e4  # 1/dt of its export [1/s]

@@ -44,7 +44,7 @@ def _tool(name: str, table: Mapping[str, Any]) -> Tool:
 
 TOOLS: Mapping[str, Tool] = {
     name: _tool(name, table)
-    for name, table in read_toml(Path(__file__).with_name("tools.toml")).items()
+    for name, table in read_toml(Path(__file__).with_name("eda_tools.toml")).items()
 }
 
 
