@@ -39,6 +39,7 @@ _LASTS = {
     "crash": "eval_crash",
     "gates": "eval_gates",
     "success": "eval_success",
+    "misstep_share": "eval_missteps",
 }
 
 
@@ -399,12 +400,23 @@ class Validator:
 
 def _metrics(episodes: list[_Episode]) -> dict[str, float]:
     """Return the metrics of the episodes, as far as all of the environment's infos have them."""
-    result = {"eval_return": float(np.mean([episode.total for episode in episodes]))}
     steps = [info for episode in episodes for info in episode.infos]
-    ends = [episode.infos[-1] for episode in episodes]
-    for names, infos, power in ((_MEANS, steps, 1), (_SQUARES, steps, 2), (_LASTS, ends, 1)):
+    result = mean_outcome([each.total for each in episodes], [each.infos[-1] for each in episodes])
+    for names, power in ((_MEANS, 1), (_SQUARES, 2)):
         for name, column in names.items():
-            if all(name in info for info in infos):
-                mean = np.mean([info[name] ** power for info in infos])
+            if all(name in info for info in steps):
+                mean = np.mean([info[name] ** power for info in steps])
                 result[column] = float(mean if power == 1 else np.sqrt(mean))
     return result
+
+
+def mean_outcome(returns: Sequence[float], lasts: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Return the metrics of validation episodes, from their returns and last infos.
+
+    What only some of the episodes say is unknown: those that say it may not be like the others.
+    """
+    row = {"eval_return": float(np.mean(returns))}
+    known = {key: column for key, column in _LASTS.items() if all(key in info for info in lasts)}
+    return row | {
+        column: float(np.mean([info[key] for info in lasts])) for key, column in known.items()
+    }

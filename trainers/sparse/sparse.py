@@ -25,7 +25,7 @@ from spikedeploy.trainers.policies import Policy, from_config
 from spikedeploy.trainers.policies.policy import Moments, PrunedWeight
 from spikedeploy.trainers.recipes import RECIPES
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder, with_prefix
-from spikedeploy.trainers.runner import Learner, Runner, adam, descend, set_rate
+from spikedeploy.trainers.runner import Learner, Runner, adam, descend, mean_outcome, set_rate
 from spikedeploy.trainers.sparse.batch_controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.delta_encoder import binary_columns
 from spikedeploy.trainers.sparse.phases import (
@@ -46,7 +46,6 @@ from spikedeploy.trainers.sparse.walks import (
     Stateless,
     Walk,
     WalkPool,
-    mean_outcome,
     random_actions,
     walk_tensors,
     walks_of,

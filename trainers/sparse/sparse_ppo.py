@@ -40,12 +40,20 @@ from spikedeploy.trainers.metrics_file import Journal
 from spikedeploy.trainers.policies import Policy
 from spikedeploy.trainers.ppo import CategoricalHead, advantages, clipped_gain, means, minibatches
 from spikedeploy.trainers.run_folder import LEVEL, RunFolder
-from spikedeploy.trainers.runner import Critic, Learner, Runner, adam, descend, set_rate
+from spikedeploy.trainers.runner import (
+    Critic,
+    Learner,
+    Runner,
+    adam,
+    descend,
+    mean_outcome,
+    set_rate,
+)
 from spikedeploy.trainers.sparse.batch_controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.pruning import operations
 from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.student import DeltaStudent, imitation, student
-from spikedeploy.trainers.sparse.walks import Episodes, Walk, WalkPool, Windows, mean_outcome
+from spikedeploy.trainers.sparse.walks import Episodes, Walk, WalkPool, Windows
 
 Ends = tuple[Rate, Rate]
 _EPS = 1e-8

@@ -17,11 +17,6 @@ from spikedeploy.trainers.run_folder import with_prefix
 Single = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 Label = Callable[[FloatArray], FloatArray]
-# entries of the last info, and the columns of their means
-_OUTCOMES = {
-    "fall": "eval_falls", "finish": "eval_finish", "misstep_share": "eval_missteps",
-    "success": "eval_success",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -147,18 +142,6 @@ class Episodes:
                 )
             )
         return walks, totals.tolist(), infos
-
-
-def mean_outcome(returns: Sequence[float], infos: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Return the metrics of validation episodes, from their returns and last infos.
-
-    What only some of the episodes say is unknown: those that say it may not be like the others.
-    """
-    row = {"eval_return": float(np.mean(returns))}
-    for key, column in _OUTCOMES.items():
-        if all(key in info for info in infos):
-            row[column] = float(np.mean([info[key] for info in infos]))
-    return row
 
 
 # -- events and windows

@@ -182,17 +182,17 @@ def test_the_teachers_score_is_its_return_on_the_validation_seeds():
 
 def test_a_missing_or_unsuitable_teacher_is_refused_before_training(onnx, tmp_path):
     run = RunFolder.create(tmp_path, config())
-    with pytest.raises(ConfigError, match="--set teacher=PATH"):
-        Distill(config(), run)
-    with pytest.raises(ConfigError, match="no teacher at"):
-        Distill(config(tmp_path / "none.onnx"), run)
-    with pytest.raises(ConfigError, match="no run folder"):
-        Distill(config(tmp_path / "none"), run)
-    with pytest.raises(ConfigError, match="Hexapod-v0, not in hexapod-command"):
-        Distill(config(onnx, env=EnvConfig(name="hexapod-command")), run)
     small = to_onnx(MlpPolicy(6, 2, hidden=()), Provenance(HEXAPOD), tmp_path / "small.onnx")
-    with pytest.raises(ConfigError, match="takes 6 observations"):
-        Distill(config(small), run)
+    command = {"env": EnvConfig(name="hexapod-command")}
+    for given, changes, message in (
+        ("", {}, "--set teacher=PATH"),
+        (tmp_path / "none.onnx", {}, "no teacher at"),
+        (tmp_path / "none", {}, "no run folder"),
+        (onnx, command, "Hexapod-v0, not in hexapod-command"),
+        (small, {}, "takes 6 observations"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            Distill(config(given, **changes), run)
 
 
 def test_a_shipped_policy_may_teach_by_its_name():

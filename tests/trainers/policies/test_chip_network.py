@@ -12,7 +12,7 @@ from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.runtime import SpikingController, load
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.compiler.compile import check, compile_program
-from spikedeploy.runtime.errors import ConfigError, RuleError, SpikedeployError
+from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import axon_types
 from spikedeploy.runtime.metadata import Provenance
 from spikedeploy.trainers.config import NetworkConfig
@@ -123,14 +123,6 @@ def test_it_learns_which_way_to_turn_within_few_updates(name):
         assert (student(seen) == wanted).float().mean() > 0.8
 
 
-def test_a_chip_with_too_few_inputs_is_refused_in_a_sentence():
-    with pytest.raises(ConfigError, match=r"xylo-a2 has 16 inputs, too few for .* 28 observations"):
-        from_config(NetworkConfig(chip="xylo-a2"), 28, 4)
-    assert from_config(NetworkConfig(chip="xylo-a2", coding="regular"), 16, 4).target.name
-    with pytest.raises(ConfigError, match="--for xylo-a2"):
-        from_config(NetworkConfig(), 4, 2)
-
-
 def test_a_chip_that_runs_a_pipeline_is_trained_in_its_own_clock(tmp_path):
     name = "loihi1:clock=pipelined"
     student = policy(name, timesteps=12)
@@ -223,37 +215,31 @@ def test_a_file_with_a_codec_is_gone_on_from(tmp_path):
         from_config(config, 4, 2, head="discrete")
 
 
+NETWORKS = "tests.own_networks:"
+
+
 @pytest.mark.parametrize(
-    ("network", "message"),
+    ("settings", "observations", "message"),
     [
-        ("", "--network my_module:Net"),
-        ("tests.own_networks:Missing", "has no 'Missing'"),
-        ("tests.own_networks:Greedy", "asks for inputs, actions, hidden"),
-        ("tests.own_networks:broken", "making it failed with TypeError: .* It was given 24"),
-        ("tests.own_networks:nothing", "makes Tensor, and no torch.nn.Module"),
-        ("nowhere.nir", "there is no network nowhere.nir"),
+        ({}, 3, "--for xylo-a2"),
+        ({"chip": "xylo-a2"}, 28, "has 16 inputs, too few for .* 28 observations"),
+        ({"network": f"{NETWORKS}Missing"}, 3, "has no 'Missing'"),
+        ({"network": f"{NETWORKS}Greedy"}, 3, "asks for inputs, actions, hidden"),
+        (
+            {"network": f"{NETWORKS}broken"},
+            3,
+            "making it failed with TypeError: .* It was given 24",
+        ),
+        ({"network": f"{NETWORKS}nothing"}, 3, "makes Tensor, and no torch.nn.Module"),
+        ({"network": "nowhere.nir"}, 3, "there is no network"),
+        ({"network": f"{NETWORKS}instance"}, 5, "takes 24 inputs, and the code of 5 observations"),
+        ({"network": f"{NETWORKS}Net", "chip": "speck2f"}, 3, "speck2f has no leak"),
+        ({"network": f"{NETWORKS}instance", "hidden": (64,), "beta": 0.5}, 3, "hidden, beta: "),
     ],
 )
-def test_what_is_no_network_is_refused_in_a_sentence(network, message):
-    with pytest.raises(SpikedeployError, match=message):
-        from_config(NetworkConfig(network=network), 3, 2)
-
-
-def test_settings_of_a_chips_own_neurons_are_refused_beside_a_network():
-    with pytest.raises(
-        ValueError, match=r"hidden, beta: .*tests\.own_networks:instance has its own"
-    ):
-        NetworkConfig(network="tests.own_networks:instance", hidden=(64,), beta=0.5)
-
-
-def test_a_network_of_other_inputs_is_refused_in_a_sentence():
-    with pytest.raises(ConfigError, match=r"takes 24 inputs, and the code of 5 observations"):
-        from_config(NetworkConfig(network="tests.own_networks:instance"), 5, 2)
-
-
-def test_a_network_that_does_not_fit_is_refused_before_it_is_trained():
-    with pytest.raises(RuleError, match="speck2f has no leak"):
-        from_config(NetworkConfig(network="tests.own_networks:Net", chip="speck2f"), 3, 2)
+def test_what_makes_no_policy_is_refused(settings, observations, message):
+    with pytest.raises((SpikedeployError, ValueError), match=message):
+        from_config(NetworkConfig(**settings), observations, 2)
 
 
 @pytest.mark.parametrize("recipe", ["ppo-network", "distill-network"])

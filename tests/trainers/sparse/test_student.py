@@ -371,15 +371,6 @@ def test_observations_with_two_values_are_binary():
     assert binary_columns(seen).tolist() == [False, True, False, True]
 
 
-def test_a_force_that_is_nearly_always_zero_is_not_binary():
-    seen = np.zeros((60, 4))
-    seen[7, 0] = 0.4  # once: an outlier
-    seen[::20, 1] = 1e-9  # a swing that is noise
-    seen[::20, 2] = 1.0
-    seen[:30, 3] = 1.0
-    assert binary_columns(seen).tolist() == [False, False, True, True]
-
-
 def test_values_that_the_sample_lacks_count(monkeypatch):
     monkeypatch.setattr("spikedeploy.trainers.sparse.delta_encoder._SAMPLE", 10)
     seen = (np.arange(40.0) % 3 == 0)[:, None].astype(float)  # every fourth is looked at

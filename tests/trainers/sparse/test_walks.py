@@ -8,13 +8,13 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.codec.delta import DeltaEncoder
 from spikedeploy.trainers.config import EnvConfig
 from spikedeploy.trainers.runner import _metrics as runner_metrics
+from spikedeploy.trainers.runner import mean_outcome
 from spikedeploy.trainers.sparse.batch_controllers import FloatController, controller_of
 from spikedeploy.trainers.sparse.walks import (
     Episodes,
     Stateless,
     Walk,
     WalkPool,
-    mean_outcome,
     walk_tensors,
     walks_of,
 )
