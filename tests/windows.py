@@ -2,7 +2,7 @@
 
 import pygame
 
-from spikedeploy.play import window
+from spikedeploy.play import drive_app as window
 
 
 def press(name, **more):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from spikedeploy import zoo
-from spikedeploy.exporters.verilog import tools
+from spikedeploy.exporters.verilog import eda_tools as tools
 from spikedeploy.runtime import files
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.shipping.verilog import (

@@ -4,7 +4,7 @@ import torch
 from snntorch import surrogate as snn_surrogate
 
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers import neurons
+from spikedeploy.trainers import surrogate_neurons as neurons
 from spikedeploy.trainers.policies import build
 from spikedeploy.trainers.policies.spiking import TorchRateEncoder
 from spikedeploy.trainers.surrogate_neurons import (
