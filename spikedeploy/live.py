@@ -28,7 +28,7 @@ from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.play.display import has_desktop
 from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.nir import NirController
-from spikedeploy.policies.registry import Candidate, Env, Player
+from spikedeploy.policies.registry import Candidate, Controller, Env
 from spikedeploy.realtime.paced_loop import PacedLoop, Pacing, pacing
 from spikedeploy.recordings import (
     Step,
@@ -100,7 +100,7 @@ class WatchedLoop(PacedLoop):
         assert found is not None
         return found
 
-    def open(self, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(self, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The policy, whose network keeps its spikes; the rate is now known."""
         period = getattr(env.unwrapped, "CONTROL_DT", None)
         if self._rate is None:
@@ -123,7 +123,7 @@ class WatchedLoop(PacedLoop):
         )
         return player
 
-    def rollout(self, env: Env, player: Player, seed: int) -> Rollout:
+    def rollout(self, env: Env, player: Controller, seed: int) -> Rollout:
         """One episode, a control step in each period."""
         played = super().rollout(env, player, seed)
         why = "terminal state" if played.terminated else "time limit"

@@ -23,7 +23,7 @@ from spikedeploy.console import say
 from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
 from spikedeploy.policies.nir import NirController
-from spikedeploy.policies.registry import Candidate, Entry, Player, check_fit, open_policy
+from spikedeploy.policies.registry import Candidate, Controller, Entry, check_fit, open_policy
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.metrics.energy import energy, energy_table
@@ -245,8 +245,8 @@ def open_with_traces(
     chip: str | None,
     env: Any,  # noqa: ANN401
     setup: Setup = DEFAULT,
-) -> Player:
-    """The player of a candidate; where it spikes, its network keeps those of the last step."""
+) -> Controller:
+    """The controller of a candidate; where it spikes, its network keeps those of the last step."""
     if candidate.format != ".nir":
         return open_policy(candidate, chip, env, setup)
     check_fit(candidate, env)
@@ -301,7 +301,7 @@ class StepTracer:
     scene: scene of the environment; None without one
     """
 
-    def __init__(self, player: Player, scene: "Scene | None") -> None:
+    def __init__(self, player: Controller, scene: "Scene | None") -> None:
         self._network = player if isinstance(player, NirController) else None
         self._scene, self._counted = scene, self._ledger()
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.comparison.episode_metrics import measure, measure_named
 from spikedeploy.envs.rollout import Rollout, rollout
-from spikedeploy.policies.registry import Candidate, Entry, Player, open_policy
+from spikedeploy.policies.registry import Candidate, Controller, Entry, open_policy
 from spikedeploy.runtime.chips.damage import Damage
 from spikedeploy.setup import Setup
 
@@ -44,7 +44,7 @@ class Agreement:
     equal: int | None = None
 
 
-def agreement(player: Player, played: Rollout, other: Rollout) -> Agreement:
+def agreement(player: Controller, played: Rollout, other: Rollout) -> Agreement:
     """Compare the player, which acted in `played`, with the policy of the other rollout."""
     player.reset(other.seed)
     error = player.replay(other.observation[:-1]) - other.action
@@ -148,7 +148,7 @@ def play(job: EpisodeJob) -> Episode:
 
 
 def summarise(
-    player: Player,
+    player: Controller,
     played: Rollout,
     others: Mapping[str, Rollout] = MappingProxyType({}),
     metrics: Sequence[str] = (),
@@ -186,5 +186,5 @@ def _environment(name: str, setup: Setup) -> gymnasium.Env[Any, Any]:
 
 
 @lru_cache(_KEPT)
-def _player(env: str, setup: Setup, candidate: Candidate, chip: str | None) -> Player:
+def _player(env: str, setup: Setup, candidate: Candidate, chip: str | None) -> Controller:
     return open_policy(candidate, chip, _environment(env, setup), setup)

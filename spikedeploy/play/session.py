@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spikedeploy import envs, zoo
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
-from spikedeploy.policies.registry import Candidate, Player, find, open_policy
+from spikedeploy.policies.registry import Candidate, Controller, find, open_policy
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 
@@ -95,7 +95,7 @@ class KeyboardDriver(Driver):
 class PolicyDriver(Driver):
     """A policy that drives by itself."""
 
-    def __init__(self, player: Player, name: str) -> None:
+    def __init__(self, player: Controller, name: str) -> None:
         self.name, self._player = name, player
 
     def reset(self, seed: int) -> None:
@@ -123,7 +123,7 @@ class CommandedPolicyDriver(PolicyDriver):
     }
     legend = [("UP DOWN", "speed"), ("LEFT RIGHT", "turn"), ("SPACE", "stand")]  # noqa: RUF012
 
-    def __init__(self, player: Player, name: str, world: Any) -> None:  # noqa: ANN401
+    def __init__(self, player: Controller, name: str, world: Any) -> None:  # noqa: ANN401
         super().__init__(player, name)
         self._world = world
         self.speed, self.turn = 0.25, 0.0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.policies.registry import Candidate, Env, Floats, Player
+from spikedeploy.policies.registry import Candidate, Controller, Env, Floats
 from spikedeploy.runtime.errors import ConfigError, ObservationError
 from spikedeploy.setup import Setup
 
@@ -28,7 +28,7 @@ def permit(path: Path) -> None:
     _permitted.add(path.resolve())
 
 
-class NativeController(Player):
+class NativeController(Controller):
     """A controller that calls C.
 
     path: path of the shared object.
@@ -74,7 +74,7 @@ class NativeController(Player):
         )
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The shared object, loaded."""
         if setup.sampled:
             raise ConfigError("a policy in C gives its best action: leave --sampled out")

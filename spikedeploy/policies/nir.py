@@ -26,9 +26,9 @@ from spikedeploy.policies.registry import (
     DEFAULT_CHIP,
     FLOAT,
     Candidate,
+    Controller,
     Env,
     Floats,
-    Player,
     env_id,
 )
 from spikedeploy.runtime.artifact.artifact import Artifact, load, save
@@ -75,7 +75,7 @@ def _read_policy(path: str, *identity: int) -> Artifact:
     return artifact
 
 
-class NirController(Copyable, Player):
+class NirController(Copyable, Controller):
     """A spiking policy with a ledger for each episode; options are those of SpikingController.
 
     artifact: the file

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
 from spikedeploy.policies.costs import UNCOUNTED, Costs, float_costs
-from spikedeploy.policies.registry import Candidate, Env, Floats, Player, env_id
+from spikedeploy.policies.registry import Candidate, Controller, Env, Floats, env_id
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
@@ -25,7 +25,7 @@ HEADS = ("continuous", "discrete")
 _STEP = "snn-step"  # what exporters.spiking_onnx writes
 
 
-class OnnxController(Player):
+class OnnxController(Controller):
     """A float network: observation (obs,) in, action (act,) out, or () where it chooses one.
 
     path: path of the file
@@ -72,7 +72,7 @@ class OnnxController(Player):
         )
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The network, loaded."""
         return cls(candidate.path, setup.sampled)
 

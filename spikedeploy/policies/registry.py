@@ -146,7 +146,7 @@ _HINT = "`spikedeploy policies` lists what is shipped"
 UNTRAINED = (*BUILT_IN, "function")  # formats of scripts
 
 
-class Player(NotCopyable):
+class Controller(NotCopyable):
     """A loaded policy: it acts in an environment, and answers for recorded episodes.
 
     Copies are refused unless a subclass is Copyable: a script reads a world, a session has no copy.
@@ -167,7 +167,7 @@ class Player(NotCopyable):
         raise NotImplementedError
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> "Player":
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> "Controller":
         """Load the candidate.
 
         chip: name of a chip, FLOAT, or None for what does not spike
@@ -213,8 +213,10 @@ def find(reference: str) -> Candidate:
     raise ConfigError(f"no policy at {reference!r}: {hint}")
 
 
-def open_policy(candidate: Candidate, chip: str | None, env: Env, setup: Setup = DEFAULT) -> Player:
-    """Return the player of the candidate in `env`; `chip` "float" is the float twin."""
+def open_policy(
+    candidate: Candidate, chip: str | None, env: Env, setup: Setup = DEFAULT
+) -> Controller:
+    """Return the controller of the candidate in `env`; `chip` "float" is the float twin."""
     check_fit(candidate, env)
     if candidate.kind == "snn" and chip is None:
         raise ConfigError(f"{candidate.name} is a spiking policy: name a chip, or '{FLOAT}'")
@@ -260,8 +262,8 @@ def env_id(name: str) -> str | None:
     return ENVS[name].id if name in ENVS else name or None
 
 
-def _class_of(format_: str) -> type[Player]:
+def _class_of(format_: str) -> type[Controller]:
     """The class of a format, imported now."""
     module, _, name = FORMATS[format_].partition(":")
     found = getattr(import_module(f"spikedeploy.policies.{module}"), name)
-    return cast("type[Player]", found)
+    return cast("type[Controller]", found)

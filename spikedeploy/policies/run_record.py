@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.policies.registry import FLOAT, Candidate, Env, Floats, Player, env_id
+from spikedeploy.policies.registry import FLOAT, Candidate, Controller, Env, Floats, env_id
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.metadata import Provenance
@@ -124,7 +124,7 @@ def format_of(run: Path) -> str:
     return "nir" if spikes else "onnx"
 
 
-class TorchController(Player):
+class TorchController(Controller):
     """A policy in torch, float32; a random encoder uses the generator of the chip.
 
     `sampled` draws one of several actions from the softmax of their scores; `checkpoint` is of the
@@ -158,7 +158,7 @@ class TorchController(Player):
         )
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The policy; a chip needs the exported file."""
         if chip not in (None, FLOAT):
             raise ConfigError(

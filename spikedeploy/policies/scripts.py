@@ -13,7 +13,7 @@ from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout, draw_action
 from spikedeploy.policies.costs import NOTHING, Costs, float_costs
-from spikedeploy.policies.registry import Candidate, Env, Floats, Player, check_fit, find
+from spikedeploy.policies.registry import Candidate, Controller, Env, Floats, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.setup import Setup
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 _STREAM = 1  # so that draws differ from those of an environment with the same seed
 
 
-class ZeroController(Player):
+class ZeroController(Controller):
     """Zero actions (act,), which leave the environment's own gait unchanged."""
 
     def __init__(self, actions: int) -> None:
         self._actions = actions
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The gait of a robot that has one."""
         space = env.action_space
         if not isinstance(space, gymnasium.spaces.Box):
@@ -48,7 +48,7 @@ class ZeroController(Player):
         return NOTHING
 
 
-class RandomController(Player):
+class RandomController(Controller):
     """Actions of a space, drawn uniformly at every control step, seeded by the episode."""
 
     def __init__(self, space: gymnasium.Space[Any]) -> None:
@@ -56,7 +56,7 @@ class RandomController(Player):
         self.reset(0)
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """Draws of the environment's actions."""
         return cls(env.action_space)
 
@@ -73,14 +73,14 @@ class RandomController(Player):
         return NOTHING
 
 
-class GapController(Player):
+class GapController(Controller):
     """A script that follows the gap in the LIDAR, on the observations of a policy."""
 
     def __init__(self, env: Env) -> None:
         self._driver = GapDriver.for_env(env)
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The driver of the environment's kart."""
         return cls(env)
 
@@ -89,14 +89,14 @@ class GapController(Player):
         return self._driver.act(observation)
 
 
-class ExpertController(Player):
+class ExpertController(Controller):
     """The environment's own expert, which reads the simulation and no observation."""
 
     def __init__(self, expert: "Teacher", chooses: bool) -> None:
         self._expert, self._chooses = expert, chooses
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The method `expert` of the environment."""
         from spikedeploy.trainers.distill.teacher import OwnSpaces
         from spikedeploy.trainers.distill.teachers import expert_of
@@ -118,7 +118,7 @@ class ExpertController(Player):
         return NOTHING
 
 
-class TeacherController(Player):
+class TeacherController(Controller):
     """A teacher of `distill` that no other format plays: a function, a file of another tool.
 
     It acts in the environment's own units, which is why ONNX files of other tools are here too.
@@ -130,7 +130,7 @@ class TeacherController(Player):
         self._teacher, self._chooses = teacher, chooses
 
     @classmethod
-    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(cls, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The teacher; functions are imported now."""
         if setup.sampled:
             raise ConfigError("a teacher gives its best action: leave --sampled out")

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
-from spikedeploy.policies.registry import Candidate, Env, Player, open_policy
+from spikedeploy.policies.registry import Candidate, Controller, Env, open_policy
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.setup import Setup
 
@@ -182,7 +182,7 @@ class PacedLoop:
         self._times = {name: array("d") for name in TIMES}
         self._seconds = 0.0
 
-    def open(self, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Player:
+    def open(self, candidate: Candidate, chip: str | None, env: Env, setup: Setup) -> Controller:
         """The policy that it plays; arguments as of registry.open_policy."""
         return open_policy(candidate, chip, env, setup)
 
@@ -196,7 +196,7 @@ class PacedLoop:
                 return
             yield seed
 
-    def rollout(self, env: Env, player: Player, seed: int) -> Rollout:
+    def rollout(self, env: Env, player: Controller, seed: int) -> Rollout:
         """One episode, a control step in each period."""
         self._player = player
         with without_collections():

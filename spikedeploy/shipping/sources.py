@@ -84,7 +84,7 @@ def is_ours(env: str) -> bool:
 
 
 def observations_of(
-    controller: Callable[[], "Player | OnnxController"],
+    controller: Callable[[], "CodecController | OnnxController"],
     where: str,
     size: int,
     count: int,
@@ -116,7 +116,7 @@ def observations_of(
     return seen, f"{len(seen)} control steps in {where}, seed {VALIDATION[0]}"
 
 
-class Player:
+class CodecController:
     """A codec acting through a network that has `reset` and `infer`."""
 
     def __init__(self, codec: Codec, network: Machine | FloatMachine) -> None:
@@ -203,10 +203,10 @@ class SpikingSource:
             drift = np.clip(np.cumsum(steps, axis=0), -3, 3)
             return np.asarray(drift * codec.normaliser.std + codec.normaliser.mean)
 
-        def player() -> Player:
+        def player() -> CodecController:
             if program is None:
-                return Player(codec, FloatMachine(self.artifact, "none"))
-            return Player(codec, Machine(program, 1, "none"))
+                return CodecController(codec, FloatMachine(self.artifact, "none"))
+            return CodecController(codec, Machine(program, 1, "none"))
 
         where = world_of(self.name, self.artifact)
         return observations_of(player, where, codec.encoder.observed, count, walk, env)
