@@ -23,6 +23,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies, make_entries
 from spikedeploy.console import say
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.exporters.check import ExportResult
 from spikedeploy.outputs import check_output_folder, has_text
 from spikedeploy.policies import run_record
@@ -32,7 +33,6 @@ from spikedeploy.reports.plots import draw_curves, read_curve
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import as_text, read_json, replacing, write_json, write_text
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.setup import Setup
 from spikedeploy.shipping.export_run import export_run
 from spikedeploy.shipping.reproduce import read_evaluation
 from spikedeploy.trainers.config import differences

@@ -19,7 +19,8 @@
     campaign     sweeps of evaluations, searches for settings, seeds of a training
     play         a window to drive a robot in, or to watch a policy
 
-    api          a few lines of Python; setup: how policies are evaluated; cli starts a command
+    api          a few lines of Python; evaluation_setup: how policies are evaluated; cli starts
+                 a command
 
 `runtime`, `envs`, `trainers` and `exporters` stand at the top of the repository; in a checkout,
 relative links lead to them. `load`, `compare`, `train` and `make` are imported when they are first

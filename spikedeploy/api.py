@@ -22,6 +22,7 @@ import numpy as np
 from spikedeploy.emulation.design_report import DesignReport, network_path, report_of
 from spikedeploy.emulation.raster_emulation import Emulation, emulate_artifact
 from spikedeploy.emulation.rasters import Raster, as_raster, read_rasters
+from spikedeploy.evaluation_setup import OnChip, Reading, Setup
 from spikedeploy.policies.registry import FLOAT
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
@@ -32,7 +33,6 @@ from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.graph.ports import ports
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.setup import OnChip, Reading, Setup
 
 if TYPE_CHECKING:
     import gymnasium
@@ -68,7 +68,7 @@ class LoadedNetwork:
     def on(self, chip: str, **options: Any) -> "LoadedNetwork":  # noqa: ANN401
         """Return the network on another chip, such as "loihi1", or in "float".
 
-        options: fields of spikedeploy.setup.OnChip, as in quantise="channel", limits="off"
+        options: fields of evaluation_setup.OnChip, as in quantise="channel", limits="off"
         """
         chip_or_float(chip)  # a wrong name is refused here
         return replace(self, chip=chip, on_chip=OnChip(**options))
@@ -237,7 +237,7 @@ def compare(
     seed: the first; from 10,000 on, which no training uses
     workers: processes; with several, a script needs `if __name__ == "__main__"`
     options: options of the environment
-    setup: fields of spikedeploy.setup.Setup, as in fault=("dead-neurons:2",)
+    setup: fields of spikedeploy.evaluation_setup.Setup, as in fault=("dead-neurons:2",)
     """
     from spikedeploy.comparison.evaluation import compare_policies, line_up
     from spikedeploy.objects import env_target, teacher_target

@@ -25,6 +25,7 @@ import typer
 from spikedeploy import envs
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.play.display import has_desktop
 from spikedeploy.policies.costs import FLOAT_TABLES, priced_by
 from spikedeploy.policies.nir import NirController
@@ -44,7 +45,6 @@ from spikedeploy.recordings import (
 from spikedeploy.reports.columns import quoted_among
 from spikedeploy.reports.page import REPLAY_ASSETS, asset
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.setup import Setup
 
 # the paced loop
 

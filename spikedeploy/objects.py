@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from spikedeploy.evaluation_setup import option_texts
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.setup import option_texts
 
 if TYPE_CHECKING:
     import gymnasium

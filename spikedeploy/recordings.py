@@ -22,12 +22,12 @@ from spikedeploy.comparison.comparison import Comparison
 from spikedeploy.console import say
 from spikedeploy.envs.kart.track import RADIUS
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout
+from spikedeploy.evaluation_setup import DEFAULT, Setup
 from spikedeploy.policies.nir import NirController
 from spikedeploy.policies.registry import Candidate, Controller, Entry, check_fit, open_policy
 from spikedeploy.runtime.emulator.ledger import EVENTS, Ledger
 from spikedeploy.runtime.errors import RuleError
 from spikedeploy.runtime.metrics.energy import energy, energy_table
-from spikedeploy.setup import DEFAULT, Setup
 from spikedeploy.video import Pace, shrink, webp
 
 Floats = NDArray[np.float64]

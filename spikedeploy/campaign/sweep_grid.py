@@ -19,6 +19,7 @@ from spikedeploy import envs, zoo
 from spikedeploy.console import say
 from spikedeploy.envs.disturbances import disturbances
 from spikedeploy.envs.repeats import check_repeats
+from spikedeploy.evaluation_setup import DEFAULT, Setup
 from spikedeploy.policies.registry import (
     BUILT_IN,
     DEFAULT_CHIP,
@@ -34,7 +35,6 @@ from spikedeploy.runtime.faults import faults
 from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.schema import validate
 from spikedeploy.seeds import EVALUATION, listed_numbers
-from spikedeploy.setup import DEFAULT, Setup
 from spikedeploy.trainers.config import require_known
 from spikedeploy.trainers.versions import installed_version
 

@@ -23,11 +23,11 @@ import numpy as np
 from spikedeploy.campaign.search_space import search_space
 from spikedeploy.comparison.episodes import EpisodeJob, play
 from spikedeploy.comparison.evaluation import make_entries
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.jobs import JobResult, Pool, output_to, sigterm_as_interrupt
 from spikedeploy.policies.registry import DEFAULT_CHIP, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import locked
-from spikedeploy.setup import Setup
 from spikedeploy.shipping.exported_run import runnable
 from spikedeploy.trainers import metrics_file
 from spikedeploy.trainers.config import RunConfig, require_known, resolve, spiking_layers

@@ -11,8 +11,8 @@ import typer
 
 from spikedeploy.commands.options import File, Force, Json, NetworkFile, TrainedFor
 from spikedeploy.console import print_json, say
+from spikedeploy.evaluation_setup import Count, Natural, Reading, Switch
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.setup import Count, Natural, Reading, Switch
 
 if TYPE_CHECKING:
     from spikedeploy.trainers.adapt import Adaptation, AdaptationScore

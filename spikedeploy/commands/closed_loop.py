@@ -27,10 +27,10 @@ from spikedeploy.commands.options import (
     Workers,
 )
 from spikedeploy.console import print_json, print_result, say
+from spikedeploy.evaluation_setup import Count, OnChip, Reading, Setup, changed
 from spikedeploy.runtime.choices import BackendName, Units
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.setup import Count, OnChip, Reading, Setup, changed
 
 if TYPE_CHECKING:
     from spikedeploy.comparison.comparison import Comparison
@@ -337,9 +337,9 @@ def play(
     if record is not None:
         check_output("--record", record, (policy, track), force)
     check_display()
+    from spikedeploy.evaluation_setup import parse_options
     from spikedeploy.play.drive_app import DriveApp, show
     from spikedeploy.play.session import open_session
-    from spikedeploy.setup import parse_options
     from spikedeploy.shipping.exported_run import runnable
 
     policy = policy and runnable(policy)

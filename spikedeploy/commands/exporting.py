@@ -8,10 +8,10 @@ import typer
 
 from spikedeploy.commands.options import Checkpoint, ChipName, EnvName, Force, Json, Output
 from spikedeploy.console import print_json, say
+from spikedeploy.evaluation_setup import Count, changed
 from spikedeploy.runtime.choices import Clock, Granularity, Reset, State
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
-from spikedeploy.setup import Count, changed
 
 
 @dataclass(frozen=True)

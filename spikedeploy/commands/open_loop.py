@@ -23,10 +23,10 @@ from spikedeploy.commands.options import (
     Tables,
 )
 from spikedeploy.console import print_json, print_result
+from spikedeploy.evaluation_setup import Count, OnChip, Reading
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.setup import Count, OnChip, Reading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -264,12 +264,12 @@ def drift(
     """
     from spikedeploy.emulation.design_report import network_path
     from spikedeploy.emulation.drift_report import choose_inputs, drift_report
+    from spikedeploy.evaluation_setup import parse_options
     from spikedeploy.outputs import check_output_folder
     from spikedeploy.reports.drift_page import drift_page, print_drift
     from spikedeploy.reports.page import FILES, is_page_of, write_page
     from spikedeploy.runtime.artifact.artifact import load
     from spikedeploy.runtime.chips.chip import chip as datasheet
-    from spikedeploy.setup import parse_options
     from spikedeploy.shipping.exported_run import runnable, trained_in
     from spikedeploy.shipping.sources import chip_of
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 from typer.models import OptionInfo
 
-from spikedeploy.setup import Switch
+from spikedeploy.evaluation_setup import Switch
 
 # options that several commands share, with their help
 Json = Annotated[

@@ -32,7 +32,7 @@ from spikedeploy.console import (
     program_name,
     say,
 )
-from spikedeploy.setup import Count
+from spikedeploy.evaluation_setup import Count
 
 _RUNS = Path("runs")
 

@@ -24,6 +24,7 @@ from spikedeploy.comparison.statistics import (
     share,
     stratified_bootstrap,
 )
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies import costs
 from spikedeploy.policies.costs import FLOAT_TABLES, Costs, priced_by, reported
 from spikedeploy.policies.registry import BASELINES, UNTRAINED, Entry
@@ -31,7 +32,6 @@ from spikedeploy.runtime.chips.damage import sum_damage
 from spikedeploy.runtime.emulator.running_network import chip_or_float
 from spikedeploy.runtime.metrics.energy import BREAK_EVEN_TABLES, break_even_sops, static_energy
 from spikedeploy.runtime.metrics.energy_tables import STATIC, TABLES
-from spikedeploy.setup import Setup
 
 Interval = tuple[float, float]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from spikedeploy import envs
 from spikedeploy.comparison.episode_metrics import measure, measure_named
 from spikedeploy.envs.rollout import Rollout, rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import Candidate, Controller, Entry, open_policy
 from spikedeploy.runtime.chips.damage import Damage
-from spikedeploy.setup import Setup
 
 if TYPE_CHECKING:
     from spikedeploy.policies.costs import Costs

@@ -21,6 +21,7 @@ from spikedeploy.comparison.episodes import (
 from spikedeploy.console import progress, say
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.envs.rollout import EpisodeRecorder, rollout
+from spikedeploy.evaluation_setup import DEFAULT, Setup
 from spikedeploy.jobs import local_pool
 from spikedeploy.outputs import mark
 from spikedeploy.policies.registry import (
@@ -36,7 +37,6 @@ from spikedeploy.realtime.paced_loop import PacedLoop
 from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.setup import DEFAULT, Setup
 from spikedeploy.video import Frame, Pace, add_caption, mp4
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import Candidate, Controller, Env, Floats
 from spikedeploy.runtime.errors import ConfigError, ObservationError
-from spikedeploy.setup import Setup
 
 _NAME = re.compile(r"lib([a-z][a-z0-9_]{0,30})\.so")
 # of <prefix>_interface: version, observations, actions, actions to choose from

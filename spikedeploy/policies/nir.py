@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from spikedeploy.console import say
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.outputs import check_output
 from spikedeploy.policies.registry import (
     DEFAULT_CHIP,
@@ -45,7 +46,6 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError, SpikedeployEr
 from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.graph.discretisation import SPIKING
 from spikedeploy.runtime.metadata import Provenance, Record
-from spikedeploy.setup import Setup
 
 if TYPE_CHECKING:
     from spikedeploy.policies.costs import Costs

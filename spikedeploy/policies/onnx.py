@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.costs import UNCOUNTED, Costs, float_costs
 from spikedeploy.policies.registry import Candidate, Controller, Env, Floats, env_id
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.setup import Setup
 from spikedeploy.trainers.onnx_session import DTYPES, NEXT, States, infer, rest, session
 
 KINDS = ("ann", "control")

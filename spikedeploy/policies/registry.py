@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy import zoo
+from spikedeploy.evaluation_setup import DEFAULT, Setup
 from spikedeploy.objects import is_of_process
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.copies import NotCopyable
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
-from spikedeploy.setup import DEFAULT, Setup
 
 if TYPE_CHECKING:
     import gymnasium

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import FLOAT, Candidate, Controller, Env, Floats, env_id
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.setup import Setup
 from spikedeploy.trainers.versions import own
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from spikedeploy.envs.foreign import is_target
 from spikedeploy.envs.kart.gap import GapDriver
 from spikedeploy.envs.rollout import Rollout, draw_action
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.costs import NOTHING, Costs, float_costs
 from spikedeploy.policies.registry import Candidate, Controller, Env, Floats, check_fit, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
-from spikedeploy.setup import Setup
 from spikedeploy.trainers.onnx_session import has_policy_metadata, session
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikedeploy.envs.rollout import EpisodeRecorder, Rollout, rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import Candidate, Controller, Env, open_policy
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.setup import Setup
 
 _UNITS = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 _LOWEST, _HIGHEST = 0.01, 10_000.0  # [Hz]

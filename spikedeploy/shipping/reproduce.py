@@ -17,12 +17,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
 from spikedeploy import envs, zoo
 from spikedeploy.comparison.evaluation import compare_policies
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import BUILT_IN, Entry, find
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import as_text, read_json, suffix
 from spikedeploy.runtime.schema import validate
 from spikedeploy.seeds import EVALUATION
-from spikedeploy.setup import Setup
 from spikedeploy.trainers.versions import versions
 
 REPORT = "report.json"

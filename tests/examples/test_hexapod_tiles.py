@@ -15,10 +15,10 @@ from spikedeploy import envs
 from spikedeploy.comparison.evaluation import run_policy
 from spikedeploy.envs.hexapod.robot import LEGS, STANCE, Field
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.policies.scripts import teacher_candidate
 from spikedeploy.runtime.errors import ConfigError, EnvError
-from spikedeploy.setup import Setup
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "hexapod_tiles"

@@ -8,13 +8,13 @@ from examples.kart_eye.course import draw_course
 from spikedeploy import envs
 from spikedeploy.comparison.evaluation import compare_policies, line_up
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.exporters.parity import check as parity
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.policies.costs import NOTHING
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.setup import Setup
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.train import train
 from tests.paths import ROOT

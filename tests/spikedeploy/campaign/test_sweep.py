@@ -16,12 +16,12 @@ from spikedeploy.campaign.sweep import RESULTS, load_sweep, run_sweep
 from spikedeploy.campaign.sweep_grid import expand, read_grid
 from spikedeploy.campaign.sweep_page import cells, print_sweep
 from spikedeploy.comparison.evaluation import compare_policies
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import Entry, find
 from spikedeploy.runtime.artifact.artifact import save
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import locked
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.setup import Setup
 from tests.networks import popsan
 from tests.paths import ROOT
 from tests.waiting import wait_until

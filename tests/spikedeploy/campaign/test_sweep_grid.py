@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from spikedeploy.campaign.sweep_grid import SweepGrid, expand, read_grid
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.runtime.errors import EnvError, SpikedeployError
 from spikedeploy.seeds import listed_numbers
-from spikedeploy.setup import Setup
 
 
 def read(tmp_path, text):

@@ -18,9 +18,9 @@ from spikedeploy.emulation.framework_recordings import (
     find_difference,
     read_recorded,
 )
+from spikedeploy.evaluation_setup import Reading
 from spikedeploy.runtime.artifact.artifact import load
 from spikedeploy.runtime.float_model import FloatGraph
-from spikedeploy.setup import Reading
 from tests.networks import chain, cuba, lif
 from tests.paths import ROOT
 

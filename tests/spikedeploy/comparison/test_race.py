@@ -13,11 +13,11 @@ from spikedeploy.comparison.episodes import (
 )
 from spikedeploy.comparison.evaluation import compare_policies, line_up, run_policy
 from spikedeploy.envs.rollout import Rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.policies.registry import Entry, find, open_policy
 from spikedeploy.reports.columns import tables
 from spikedeploy.reports.summary import summary
 from spikedeploy.runtime.errors import ConfigError, EnvError
-from spikedeploy.setup import Setup
 from tests import toy_race_env
 
 SEEDS = range(10_000, 10_004)

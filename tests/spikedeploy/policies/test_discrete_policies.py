@@ -8,13 +8,13 @@ import torch
 
 from spikedeploy import envs
 from spikedeploy.envs.rollout import rollout
+from spikedeploy.evaluation_setup import Setup
 from spikedeploy.exporters.onnx_graph import OUTPUTS
 from spikedeploy.exporters.to_nir import to_nir
 from spikedeploy.exporters.to_onnx import to_onnx
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ArtifactError, ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.setup import Setup
 from spikedeploy.trainers.config import SpikingMlpConfig
 from spikedeploy.trainers.policies import MlpPolicy, from_config
 from spikedeploy.trainers.ppo import PpoConfig

@@ -2,8 +2,8 @@
 
 import pytest
 
+from spikedeploy.evaluation_setup import DEFAULT, OnChip, Setup, parse_options
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.setup import DEFAULT, OnChip, Setup, parse_options
 
 GIVEN = Setup(
     set_=("track=small_S", "lidar.noise=5"),
