@@ -10,12 +10,12 @@ event_camera.py   an event camera by v2e's model, for any frames
 event_camera_wrapper.py  an event camera for any environment that renders
 disturbances.py   noise, delays, weak motors and so on, of any environment
 rollout.py        one episode of a controller, recorded and saved
+finite.py         a check for numbers that are not finite
 archive.py        .npz files, written atomically
 foreign.py        environments of other packages, as policies expect them
 returned.py       what their reset and step return, as numbers
 repeats.py        a check that they repeat an episode when its seed is repeated
 drawing.py        graphics libraries, loaded only when something is drawn
-errors.py         EnvError
 
 A new environment is one file and one line in ENVS.
 """

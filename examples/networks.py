@@ -4,7 +4,7 @@
 
 Two hidden layers and eight output neurons; each is made for the number of its inputs. What decides
 whether a chip has a neuron is the leak, the reset, and whether the reset comes in the timestep of
-the spike (reset_delay=False); docs/own-policy.md has the table.
+the spike (reset_delay=False); docs/snntorch-to-chips.md has the table.
 """
 
 from itertools import pairwise

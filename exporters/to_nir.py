@@ -2,7 +2,7 @@
 
     input (M) -> fc1 -> lif1 -> ... -> fcL -> lifL -> readout -> output (act)
 
-Event-driven policies have the graphs of trainers.policies.delta_graph.
+Event-driven policies have the graphs of trainers.policies.delta_policy.
 
 The nodes are built with nir directly: exporters of training libraries lose the reset, the
 population code and the loop over timesteps, and choose their own dt.

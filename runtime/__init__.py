@@ -1,11 +1,13 @@
 """Neuromorphic chips in software: read a `.nir` file, compile it, emulate it, count what it costs.
 
-Only numpy, nir and h5py are required; numba is optional. EXPORTS is the public interface; a name is
-imported when it is first used, so that importing this package loads nothing heavy.
+NumPy, nir, h5py, pydantic and filelock are required; numba is optional. EXPORTS is the
+public interface; a name is imported when it is first used, so that importing this package loads
+nothing heavy.
 
 errors           the errors that every package may raise
 files            atomic writes, JSON, locks
 schema           data from files, checked
+choices          choices that a user has, by name
 requests         requests such as noise:2 or payload=0.4
 requirements     packages that are needed, and the sentence for one that is missing
 camera_events    events of cameras, and the file they are recorded to

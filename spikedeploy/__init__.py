@@ -14,10 +14,14 @@
     reports      tables, plots and pages
     live         an episode in a browser while it is played
     realtime     a closed loop paced by the clock; policies that are served
-    shipping     export, publishing into the zoo, the demo
+    shipping     export, evaluations played again, the demo
     jobs         functions called in this process or in several, which Ctrl-C stops
     campaign     sweeps of evaluations, searches for settings, seeds of a training
     play         a window to drive a robot in, or to watch a policy
+
+    console, outputs, user_errors    what is printed; which files may be written; errors as a line
+    objects, training_settings       Python objects by name; recipe and settings of a training
+    video                            frames as videos
 
     api          a few lines of Python; evaluation_setup: how policies are evaluated; cli starts
                  a command

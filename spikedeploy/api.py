@@ -383,8 +383,8 @@ def export(
     path: path of the file, or of the folder of c, verilog and program
     input_shape: of one timestep of one sample, where `on_chip` did not have it
     dt: [s] of a timestep
-    to: format of a run or file: "nir", "onnx", "c", "verilog", "program" or "xylo"
-    options: of the export: chip, env, force, and those of docs/export.md
+    to: format of a run or file: "nir", "onnx", "c", "verilog" or "program"
+    options: of the export: chip, env, force, and those of `spikedeploy export`
 
     Raises ConfigError where the written file does not do what the policy does.
     """

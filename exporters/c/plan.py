@@ -1,4 +1,4 @@
-"""Plan of a program for hardware and C: its integers by layer, types, magnitudes; and refusals."""
+"""Plan of a program for hardware and C: its integers by layer, types, magnitudes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -6,4 +6,5 @@ runtime      batches of one and of many, against snnTorch, Norse, SpikingJelly a
 nets, peers  the networks that `runtime` runs, and the libraries that run them
 updates      training updates through each chip, against snnTorch's own
 versions     this tree against another one
+turns        candidates that take turns on a machine that does other things too
 """

@@ -7,6 +7,7 @@ policies      policies played in batches, with what they did
 chips         a policy for every chip
 clocks        sparse policies by the clock of their layers
 digits        scanned digits on every chip, before and after training through it
+intervals     intervals over trainings
 energy        energy of spiking policies over that of float ones
 own_networks  networks of one's own as policies
 students      what the defaults of `distill` make of other people's teachers

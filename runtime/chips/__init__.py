@@ -6,6 +6,7 @@ in datasheets/. ARITHMETICS are those that a datasheet can name: name -> "module
 chip             the datasheet and its limits, the look-up by name or file, options of its fields
 arithmetic       the one interface to everything in which the numbers of chips differ
 layer            synapses, layers and their states, and when layers start
+convolution      synapses of a convolution: one kernel in place of a matrix
 quantisation     the choices of how a float network becomes the numbers of a chip
 registers        registers, what they do when they overflow, decays, and rounding
 damage           what is broken on a chip, and the draws of what goes wrong while it runs

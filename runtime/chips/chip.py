@@ -181,7 +181,7 @@ class Chip:
     delay: [timesteps] from a spike to its arrival in the next layer; 0 leaves it to the
         convention.
     delay_max: [timesteps] longest delay that a synapse can add up to.
-    energy_tables: names of the tables in runtime.metrics.energy that price its events.
+    energy_tables: names of the tables in runtime.metrics.energy_tables that price its events.
     sources: field name to where its value comes from and how sure it is.
     evidence: what its emulation was compared with, and what came out.
     limits: what fits on it, with sources of their own; None where nothing limits it.

@@ -10,5 +10,7 @@ controllers      a policy file acting on a robot, on a chip or in float
 Who steps what: a SpikingController encodes, lets its network infer, and decodes. A Machine gives
 the rows of an inference, or one timestep, to a Backend. The interpreter calls the arithmetic's
 update for one layer and timestep after another; for Loihi that adds up the weights of spikes in
-families.cuba.neurons.sum_arriving. Spikes become operations in ledger.count_events.
+families.cuba.neurons.sum_arriving. Spikes become operations in ledger.count_events. That is the
+specification. By default Numba adds and counts, families.numba_frame.sum_weights and _count; or,
+where it is missing, NumPy adds: families.cuba.numpy_backend.Summation.
 """

@@ -1,7 +1,8 @@
 """The families of chips: for each arithmetic its update, its quantiser and its kernels.
 
-Nothing outside imports them: the table runtime.chips.CHIPS gives the module of a chip, and its
-arithmetic names the backends that can run it. A new family is a file or a folder here.
+The compiler and the emulator import none of them: the table runtime.chips.ARITHMETICS gives the
+module of an arithmetic, which names the backends that can run it. What is made for one family, such
+as its traces, its C or its training, imports it. A new family is a file or a folder here.
 
 cuba                  CuBa-LIF neurons: Loihi 1 and 2, SpiNNaker2, free widths, and no chip at all
 xylo                  Xylo: events one by one, states that saturate, decays by shifts

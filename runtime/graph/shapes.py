@@ -1,9 +1,8 @@
-"""Windows of convolutions and pools: the positions of a kernel along each axis of its input.
+"""Shapes of a graph: what each node takes and puts out, and how much work a timestep is.
 
+Also windows of convolutions and pools: the positions of a kernel along each axis of its input.
 Shape letters besides the usual: **R** rows (batch and time in one axis), **C** channels,
 **X** spatial extents of the input, **P** positions of the kernel, **K** extents of the kernel.
-
-Shapes of a graph: what each node takes and puts out, and how much work a timestep is.
 
 `nir` infers shapes too, but takes the height of a kernel for its width, the channels of one group
 for all of them, and padding 'same' for unchanged extents whatever the stride; so its result is

@@ -343,8 +343,8 @@ def tune(
     recipe: name of a recipe; `recipes` lists them
     env: environment of a recipe for any: short name, id, or module:Class
     objective: return, or both return and SOPs, with the Pareto front
-    search: what a setting may be, may be repeated (default: the recipe's own; docs/tuning.md lists
-        them)
+    search: what a setting may be, may be repeated (default: the recipe's own;
+        docs/sweeps.md)
     set_: one setting of every training
     trials: trials of the search in all
     jobs: processes side by side, a core each

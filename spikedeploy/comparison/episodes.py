@@ -33,7 +33,7 @@ class Agreement:
         count
     actions: terms in that sum
     first_divergence: first control step at which the two closed loops act differently by more than
-        TOLERANCE, or at which only one of them still acts; None if that never happens
+        _TOLERANCE, or at which only one of them still acts; None if that never happens
     equal: equal choices of one action of several, where a squared error has no meaning; None where
         actions are numbers
     """

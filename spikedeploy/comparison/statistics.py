@@ -51,7 +51,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class ReturnEstimates:
-    """Returns of episodes: mean, median and worst, each with its interval.
+    """Returns of episodes: all, the middle half and the worst, each with its interval.
 
     mean: mean of all returns
     iqm: interquartile mean

@@ -1,4 +1,4 @@
-"""From a run folder to a shipped policy: export, reproduce, and the demo of them.
+"""From a run folder to a file: export, reproduce, and the demo of shipped policies.
 
 An exported file is read back and compared with its policy before anything else uses it.
 

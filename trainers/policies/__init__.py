@@ -1,6 +1,6 @@
 """Policies: torch modules from observation to action, the part that is deployed.
 
-POLICIES is the table of kinds; `from_config` builds a policy from a configuration, `build` from
+_POLICIES is the table of kinds; `from_config` builds a policy from a configuration, `build` from
 the spec in a checkpoint.
 
 policy.py          Policy, what it computes before an action; normalisation; weights with masks

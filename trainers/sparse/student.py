@@ -1,6 +1,6 @@
 """Students: policies that learn from walks and are pruned.
 
-Another kind of student is another subclass of Student, and an entry of `student`.
+Another kind of student is another subclass of Student, and a line of `student`.
 """
 
 from abc import abstractmethod
