@@ -47,7 +47,7 @@ def study_page(plan: TuningPlan, study: "optuna.Study") -> str:
         paragraphs=[
             f"Returns are means over {plan.episodes} episodes of the exported policy, from seed "
             f"{FIRST_SEED:,}; a spiking one runs on {chip}. These seeds chose the settings: judge "
-            "them by `spikedeploy compare`, whose seeds nothing here has seen.",
+            "them by spikedeploy compare, whose seeds nothing here has seen.",
             "" if commands else "No trial is complete.",
         ],
         commands=commands,
@@ -71,7 +71,9 @@ def _table(plan: TuningPlan, study: "optuna.Study") -> Table:
 def _cell(value: object) -> str:
     if value is None:
         return ABSENT
-    return f"{value:,.4g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def history_figure(study: "optuna.Study") -> "Figure":
@@ -84,6 +86,7 @@ def history_figure(study: "optuna.Study") -> "Figure":
         so_far = np.maximum.accumulate(earned)
         axes.step(numbers, so_far, where="post", color=VERMILION, label="best so far")
         axes.legend(frameon=False)
+    axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set(xlabel="trial", ylabel="return")
     return figure
 
