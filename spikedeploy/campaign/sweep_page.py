@@ -149,7 +149,7 @@ def _remarks(rows: Sequence[Record]) -> list[str]:
         return []
     return [
         f"Cells of fewer than {FEWEST} episodes have no interval: it would hold the truth too "
-        "seldom. `episodes` and `seed` of the grid set how many there are."
+        "seldom. episodes and seed of the grid set how many there are."
     ]
 
 
