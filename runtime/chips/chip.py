@@ -61,12 +61,12 @@ class SynapticMemory:
     size: of a core [bit].
     cost: "words" packs up to 64 synapses of an axon into 64-bit words, as Loihi does; "bits" takes
         weight_bits a synapse and nothing else, which is the least that it can be.
-    weight_bits: of a stored weight.
+    weight_bits: of a stored weight; 0 in a datasheet for those of the arithmetic.
     """
 
     size: int
     cost: Cost
-    weight_bits: int
+    weight_bits: int = 0
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,8 @@ class Limits:
     convolutions: what such a layer can be.
     axon_signs: whether a source excites all that it reaches, or inhibits all.
     weight_values: different weights of a neuron, besides 0; None where each synapse has its own.
-    weight_max: largest mantissa of a weight.
-    threshold_max: largest threshold, in the unit of weight_max.
+    weight_max: largest mantissa of a weight; where it is stated, that of the arithmetic.
+    threshold_max: largest threshold, in the unit of weight_max; likewise.
     current_loss: least and most that a synaptic current may lose in one timestep, of 1.
     membrane_loss: likewise of a membrane.
     recurrence: whether neurons can project to themselves, over however many others.
@@ -290,8 +290,27 @@ def _override(datasheet: Chip, overrides: Mapping[str, Any]) -> Chip:
         inside = any(each is wanted for each in fields(arithmetic))
         present = getattr(arithmetic if inside else datasheet, key)
         (inner if inside else outer)[key] = _convert(wanted.type, key, value, present)
-    arithmetic = _build(replace, arithmetic, **inner) if inner else arithmetic
+    if inner:
+        arithmetic = _build(replace, arithmetic, **inner)
+        if datasheet.limits:
+            limits = _with_widths(datasheet.limits, arithmetic, datasheet.arithmetic)
+            outer = {"limits": limits, **outer}
     return cast("Chip", _build(replace, datasheet, **{"arithmetic": arithmetic, **outer}))
+
+
+def _with_widths(limits: Limits, arithmetic: Any, before: Any) -> Limits:  # noqa: ANN401
+    """The limits of a chip whose registers have other widths than they had before."""
+    widest = getattr(arithmetic, "weight_max", None) or arithmetic.weight_range[1]
+    highest = getattr(arithmetic, "threshold_max", None) or arithmetic.threshold_range[1]
+    memory = limits.memory
+    if memory and memory.weight_bits in (0, before.weight_bits):
+        memory = replace(memory, weight_bits=arithmetic.weight_bits)
+    return replace(
+        limits,
+        weight_max=None if limits.weight_max is None else widest,
+        threshold_max=None if limits.threshold_max is None else highest,
+        memory=memory,
+    )
 
 
 def _find_field(datasheet: Chip, key: str) -> "Field[Any]":
@@ -367,14 +386,14 @@ def _make_chip(name: str, tables: Mapping[str, Any]) -> Chip:
         "name": name,
         "summary": tables.get("summary", ""),
         "evidence": tables.get("evidence", "compared with nothing"),
-        "arithmetic": _build(family, **_convert_entries(family, entries)),
+        "arithmetic": (built := _build(family, **_convert_entries(family, entries))),
         "energy_tables": tuple(map(str, tables.get("energy_tables", ()))),
         "sources": sources,
         "limits": None,
     }
     if limits:
         found = _convert_entries(Limits, limits, sources=_sources(limits, tables))
-        rest["limits"] = _build(Limits, **found)
+        rest["limits"] = _with_widths(_build(Limits, **found), built, built)
     return cast("Chip", _build(Chip, **_convert_entries(Chip, entries, **rest)))
 
 

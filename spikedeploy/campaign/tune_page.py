@@ -86,7 +86,7 @@ def history_figure(study: "optuna.Study") -> "Figure":
         so_far = np.maximum.accumulate(earned)
         axes.step(numbers, so_far, where="post", color=VERMILION, label="best so far")
         axes.legend(frameon=False)
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.locator_params(axis="x", integer=True)
     axes.set(xlabel="trial", ylabel="return")
     return figure
 

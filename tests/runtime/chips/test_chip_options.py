@@ -90,3 +90,13 @@ def test_lists_and_nothing_have_a_spelling():
 def test_what_cannot_be_read_is_refused_by_name(text, message):
     with pytest.raises(ChipError, match=message):
         chip(text)
+
+
+@pytest.mark.parametrize(("name", "widest", "bits"), [
+    ("loihi1", 255, 8), ("loihi1:weight_bits=4", 240, 4), ("spinnaker2:weight_bits=4", None, 4),
+    ("spinnaker2-lif:weight_bits=4", None, 16), ("xylo-a2", 127, None),
+])  # fmt: skip
+def test_the_limits_on_weights_follow_their_width(name, widest, bits):
+    limits = chip(name).limits
+    assert limits.weight_max == widest
+    assert (limits.memory and limits.memory.weight_bits) == bits
