@@ -107,6 +107,9 @@ class Row:
 class Performance:
     """Returns and successes of a row, alone and beside the float ANN and the baseline.
 
+    A `reported` field is a column, whose place `reports.columns` names; the table of 80 columns has
+    those that `short_columns` picks there.
+
     training_seeds: trainings that it is of: a file holds one; None for what was not trained
     return_std: standard deviation of the episodes
     return_ci95, ...: 95 % intervals, of rates by Wilson, else by the bootstrap
@@ -136,7 +139,9 @@ class Performance:
     failures: list[bool]
 
     @classmethod
-    def of(cls, row: Row, ann: Row | None, baseline: Row | None, foreign: bool) -> "Performance":
+    def from_row(
+        cls, row: Row, ann: Row | None, baseline: Row | None, foreign: bool
+    ) -> "Performance":
         """Return that of a row; intervals of one row are the same in any report."""
         estimate = bootstrap(row.returns, _rng())
         others = stratified_bootstrap([row.returns], _rng())
@@ -187,7 +192,9 @@ class ReferenceAgreement:
     first_divergence: float | None = reported("actions differ by 0.01", "diverges", ",.0f")
 
     @classmethod
-    def of(cls, row: Row, reference: Row, ann: Row | None, foreign: bool) -> "ReferenceAgreement":
+    def from_rows(
+        cls, row: Row, reference: Row, ann: Row | None, foreign: bool
+    ) -> "ReferenceAgreement":
         """Return that of two rows on the same seeds."""
         difference = paired_difference(row.returns, reference.returns, _rng())
         known = row.successes and reference.successes
@@ -250,13 +257,13 @@ class Comparison:
         for row in self.rows:
             reference = self.row(row.entry.reference) if row.entry.reference else None
             agreement = (
-                ReferenceAgreement.of(row, reference, ann, self.foreign)
+                ReferenceAgreement.from_rows(row, reference, ann, self.foreign)
                 if reference
                 else ReferenceAgreement()
             )
             found.append(
                 row.identity()
-                | vars(Performance.of(row, ann, baseline, self.foreign))
+                | vars(Performance.from_row(row, ann, baseline, self.foreign))
                 | vars(agreement)
                 | self._costs(row)
                 | row.metrics()

@@ -95,10 +95,19 @@ def _columns(record: type, table: str = "") -> dict[str, Column]:
     }
 
 
-_PERFORMANCE = _columns(Performance)
-_RETURNS = tuple(_PERFORMANCE[key] for key in ("return_mean", "return_iqm", "risk"))
-_ENDED_EARLY, _SCORE = _PERFORMANCE["failure_rate"], _PERFORMANCE["normalised_score"]
-_OF_ANN = _PERFORMANCE["ratio_to_float_ann"]
+def _in_order(columns: Mapping[str, Column], *keys: str) -> dict[str, Column]:
+    """The columns in the order of these keys, which must name each of them."""
+    if unplaced := columns.keys() - {*keys}:
+        raise ValueError(f"columns without a place in a table: {', '.join(sorted(unplaced))}")
+    return {key: columns[key] for key in keys}
+
+
+_PERFORMANCE = _in_order(
+    _columns(Performance),
+    "return_mean", "return_iqm", "risk", "success_rate", "failure_rate", "ratio_to_float_ann",
+    "normalised_score",
+)  # fmt: skip
+_ENDED_EARLY, _OF_ANN = _PERFORMANCE["failure_rate"], _PERFORMANCE["ratio_to_float_ann"]
 format_return = _PERFORMANCE["return_mean"].cell  # `3,413 [3,405, 3,420]`
 format_success = field_cell("success_rate", ".0%", "success_ci95")  # `97% [92, 99]`
 _FINISHED = Column(
@@ -164,9 +173,10 @@ def _earnings(rows: Sequence[Row]) -> tuple[str, Sequence[Column]]:
         for m in metrics_of(name for row in rows for name in row)
     ]
     if any(map(drives, rows)):
-        driven = [_FINISHED, _ENDED_EARLY, *of_world, *_RETURNS, _SCORE]
-        return "Does the kart still finish?", driven
-    earned = [*_RETURNS, _PERFORMANCE["success_rate"], _ENDED_EARLY, _OF_ANN, _SCORE]
+        placed = ("success_rate", "failure_rate", "ratio_to_float_ann")  # the last is left out
+        others = [column for key, column in _PERFORMANCE.items() if key not in placed]
+        return "Does the kart still finish?", [_FINISHED, _ENDED_EARLY, *of_world, *others]
+    earned = [*_PERFORMANCE.values()]
     if any(row.get("foreign") for row in rows):
         return "What does it earn?", earned
     return "Does the robot still walk?", [*earned, *of_world]
