@@ -45,7 +45,7 @@ from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationEr
 from spikedeploy.runtime.files import suffix
 from spikedeploy.runtime.float_model import FloatGraph
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.onnx_session import infer, rest, session
+from spikedeploy.trainers.onnx_session import infer, initial_states, session
 from spikedeploy.trainers.policies import (
     DeltaSnnPolicy,
     NetworkPolicy,
@@ -154,7 +154,7 @@ def _nir_checks(policy: Any, path: Path, observations: Numbers) -> list[ParityCh
 @torch.no_grad()
 def _by_steps(policy: DeltaSnnPolicy, observations: Tensor) -> _Behaviour:
     """Return the behaviour of a policy in torch in the control steps (S, obs) of an episode."""
-    state = policy.rest(1)
+    state = policy.initial_states(1)
     rows = [policy.advance(observation[None], state) for observation in observations]
     mean, events, hidden = (torch.cat(column) for column in zip(*rows, strict=True))
     events, hidden = events.flatten(0, 1), hidden.flatten(0, 1)
@@ -235,7 +235,7 @@ def _onnx_checks(policy: Policy, path: Path, observations: Numbers) -> list[Pari
         named = f"{name}: {what}"
         return compare_floats(named, found / unit, expected / unit, _FLOAT32_TOLERANCE)
 
-    states = rest(network)
+    states = initial_states(network)
     forward = policy.scores if policy.head == "discrete" else policy
     wanted = forward(torch.from_numpy(rows)).numpy()
     together = network.run([output], {OBSERVATION: rows})[0]

@@ -31,7 +31,7 @@ from spikedeploy.runtime.compiler.compile import compile_program
 from spikedeploy.runtime.emulator.running_network import FloatMachine
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.onnx_session import infer, rest, session
+from spikedeploy.trainers.onnx_session import infer, initial_states, session
 
 KIND = "snn-step"
 LEVELS_STATE = "codec:levels"  # events of each observation that were sent, with their signs
@@ -74,7 +74,7 @@ def checks(artifact: Artifact, path: Path, observations: NDArray[np.float64]) ->
     """Compare the file with the float twin on successive observations (S, obs) of an episode."""
     codec = _codec(artifact)
     twin, levels, network = FloatMachine(artifact, "none"), codec.encoder.start(0), session(path)
-    output, states = network.get_outputs()[0].name, rest(network)
+    output, states = network.get_outputs()[0].name, initial_states(network)
     found, expected = [], []
     for row in observations[:, None]:
         scores = codec.scores(twin.infer(codec.encode(row, levels)))

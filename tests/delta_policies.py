@@ -61,7 +61,7 @@ def walk(steps=60, obs=5, seed=0):
 @torch.no_grad()
 def followed(policy, observation):
     """Means (S, act), events (S T, obs) and hidden spikes (S T, H) of `advance` from rest."""
-    state = policy.rest(1)
+    state = policy.initial_states(1)
     seen = torch.from_numpy(observation).to(policy.action_bias.dtype)
     rows = [policy.advance(row[None], state) for row in seen]
     mean, *sent = (torch.cat(column) for column in zip(*rows, strict=True))

@@ -182,7 +182,7 @@ DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 States = dict[str, NDArray[np.floating[Any]]]
 
 
-def rest(network: Any) -> States:  # noqa: ANN401
+def initial_states(network: Any) -> States:  # noqa: ANN401
     """Return the states (1, N) of a file by name, as an episode begins; without any, nothing."""
     out = {each.name: (each.type, each.shape[1:]) for each in network.get_outputs()}
     states = {}

@@ -121,7 +121,7 @@ def convention_on(target: Chip, wanted: Convention) -> Convention:
     nearest: Reset = "subtract" if wanted.reset.startswith("subtract") else "zero"
     reset = nearest if nearest in target.resets else cast("Reset", target.resets[0])
     # without rounding both are exact
-    at_threshold = wanted.spikes == "reached" and not arithmetic.rounds
+    at_threshold = wanted.spikes == "reached" and not arithmetic.is_rounded
     spikes: Spikes = "reached" if arithmetic.spikes_at_threshold or at_threshold else "above"
     if arithmetic.spikes_max > 1 and reset == "subtract":
         spikes = "many"

@@ -43,7 +43,8 @@ class Description(NamedTuple):
 class ArithmeticDefaults(Protocol):
     """Defaults of an arithmetic, from which families inherit."""
 
-    rounds: ClassVar[bool] = True  # whether its numbers differ from those of the network in float
+    # whether its numbers differ from those of the network in float
+    is_rounded: ClassVar[bool] = True
     # width of a graded spike between neurons [bits], with the sign; None where it has none
     graded_bits: ClassVar[int | None] = None
     choices: ClassVar[tuple[str, ...]] = ("rounding",)  # fields of Quantisation that can be chosen

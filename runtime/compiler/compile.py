@@ -190,7 +190,7 @@ def float_program(artifact: Artifact, chip: Chip, graph: LayerGraph, clock: Cloc
     )
     remarks += arithmetic.transport_remarks(layers, graph.input)
     remarks += [_describe_host(layer, chip) for layer in host]
-    if arithmetic.rounds:
+    if arithmetic.is_rounded:
         remarks += [_describe_readout(layer, chip) for layer in here if not layer.spiking]
     if clock not in chip.clocks:
         remarks.append(
@@ -322,24 +322,24 @@ class DesignCheck:
     """A network on one chip.
 
     chip: its datasheet.
-    rulings: of every rule on every node, then on the network, and the compiler's last.
+    results: those of every rule on every node, then on the network, and the compiler's last.
     mapping: onto its cores.
     program: what it becomes; None where it does not compile.
     """
 
     chip: Chip
-    rulings: tuple[RuleResult, ...]
+    results: tuple[RuleResult, ...]
     mapping: CoreMapping
     program: Program | None = None
 
     @property
     def passed(self) -> bool:
         """True if no rule is broken; what is unknown breaks none."""
-        return not any(ruling.failed for ruling in self.rulings)
+        return not any(result.failed for result in self.results)
 
-    def rulings_on(self, rule: str) -> list[RuleResult]:
-        """The rulings of one rule."""
-        return [ruling for ruling in self.rulings if ruling.rule == rule]
+    def results_of(self, rule: str) -> list[RuleResult]:
+        """The results of one rule, of each node or of the network."""
+        return [result for result in self.results if result.rule == rule]
 
     @cached_property
     def worst(self) -> dict[str, RuleResult]:
@@ -348,13 +348,13 @@ class DesignCheck:
         Rules without a result on this chip are not applicable.
         """
 
-        def rank(ruling: RuleResult) -> tuple[int, float]:
-            found = ruling.found if isinstance(ruling.found, int | float) else 0.0
-            return _STATUSES.index(ruling.status), 0.0 if ruling.failed else -found
+        def rank(result: RuleResult) -> tuple[int, float]:
+            found = result.found if isinstance(result.found, int | float) else 0.0
+            return _STATUSES.index(result.status), 0.0 if result.failed else -found
 
         absent = RuleResult("", None, "not applicable")
         return {
-            rule: min(self.rulings_on(rule), key=rank, default=absent) for rule in (*RULES, COMPILE)
+            rule: min(self.results_of(rule), key=rank, default=absent) for rule in (*RULES, COMPILE)
         }
 
 
@@ -364,18 +364,18 @@ def check(artifact: Artifact, on: Chip, lowered: Lowering | None = None) -> Desi
     lowered: of the artifact, where several chips are asked about.
     """
     placed = place(artifact, on, lowered or lower(artifact))
-    rulings: Sequence[RuleResult] = evaluate(placed) if on.limits is not None else ()
-    limits = not any(ruling.failed for ruling in rulings)
+    results: Sequence[RuleResult] = evaluate(placed) if on.limits is not None else ()
+    limits = not any(result.failed for result in results)
     try:
         clocked, chip, clock = _prepared(artifact, on, None, limits)
         program = _compile(clocked, chip, placed.lowered, PLAIN, clock, limits)
     except SpikedeployError as error:
-        ruling = RuleResult(COMPILE, None, "fail", str(error))
-        return DesignCheck(on, (*rulings, ruling), placed.mapping)
+        result = RuleResult(COMPILE, None, "fail", str(error))
+        return DesignCheck(on, (*results, result), placed.mapping)
     arithmetic, layers = program.chip.arithmetic, program.layers
     ranges = arithmetic.ranges(layers, _rows(artifact, program))
     transport = arithmetic.transport_remarks(layers, program.input)
     own = (*transport, *ranges, *program.outliers)
     note = "; ".join(program.remarks if program.reads_membranes else own)
-    ruling = RuleResult(COMPILE, None, "pass", "a program", note=note)
-    return DesignCheck(on, (*rulings, ruling), placed.mapping, program)
+    result = RuleResult(COMPILE, None, "pass", "a program", note=note)
+    return DesignCheck(on, (*results, result), placed.mapping, program)

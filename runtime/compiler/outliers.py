@@ -30,7 +30,7 @@ def outlier_remarks(
 
     before, after: the layers in floats, and as quantised
     """
-    for floats, integers in zip(before, after, strict=True) if arithmetic.rounds else ():
+    for floats, integers in zip(before, after, strict=True) if arithmetic.is_rounded else ():
         coarse = _median_error(arithmetic, floats, integers)
         cause = _cause(arithmetic, floats, quantisation) if coarse >= _COARSE else ""
         if cause:

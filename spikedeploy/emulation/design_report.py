@@ -48,9 +48,9 @@ class DesignReport:
         """The verdicts, a line for each chip, and the rules that are broken."""
         lines = [f"{self.file}: {self.artifact.convention.describe()}"]
         for each in self.checks:
-            broken = [ruling for ruling in each.rulings if ruling.failed]
+            broken = [result for result in each.results if result.failed]
             lines.append(f"{'✗' if broken else '✓'} {each.chip.name}")
-            lines += [f"  {ruling.describe(each.chip.name)}" for ruling in broken]
+            lines += [f"  {result.describe(each.chip.name)}" for result in broken]
         return "\n".join(lines)
 
     def as_json(self) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def _fitting_reset(artifact: Artifact, found: DesignCheck) -> str | None:
 
     None for a policy that was trained in the integers of a chip: with another reset it is another.
     """
-    broken = {ruling.rule for ruling in found.rulings if ruling.failed}
+    broken = {result.rule for result in found.results if result.failed}
     if artifact.trained_for or "reset" not in broken or broken - {"reset", COMPILE}:
         return None
     for reset in found.chip.resets:
@@ -150,7 +150,7 @@ def _chip(found: DesignCheck) -> dict[str, Any]:
         "timesteps_more": program and program.fill,
         "timesteps_late": program and program.trailing,
         "rules": {rule: result.status for rule, result in found.worst.items()},
-        "rulings": [ruling.as_json() for ruling in found.rulings],
+        "rulings": [result.as_json() for result in found.results],
         "mapping": {
             "cores": found.mapping.cores,
             "chips": found.mapping.chips,

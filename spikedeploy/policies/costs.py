@@ -296,7 +296,7 @@ def spiking_costs(ledger: Ledger, program: Program, chip: Chip | None) -> Costs:
 
 def priced_by(chip: Chip | None) -> tuple[str, ...]:
     """The chip's own energy tables, and the one that a float network of its precision has too."""
-    if chip is None or not chip.arithmetic.rounds:
+    if chip is None or not chip.arithmetic.is_rounded:
         return ("horowitz45",)
     return (*chip.energy_tables, "horowitz45-int8")
 

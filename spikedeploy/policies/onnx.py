@@ -17,7 +17,7 @@ from spikedeploy.policies.registry import Candidate, Controller, Env, Floats, en
 from spikedeploy.runtime.codec.codec import observed_numbers
 from spikedeploy.runtime.emulator.controllers import Sampler
 from spikedeploy.runtime.errors import ArtifactError, ObservationError
-from spikedeploy.trainers.onnx_session import DTYPES, NEXT, States, infer, rest, session
+from spikedeploy.trainers.onnx_session import DTYPES, NEXT, States, infer, initial_states, session
 
 KINDS = ("ann", "control")
 HEADS = ("continuous", "discrete")
@@ -50,7 +50,7 @@ class OnnxController(Controller):
             )
         self._input, (self._output, *self._presynaptic) = _ends(path, self._session)
         self._dtype = DTYPES[self._input.type]
-        self._states = rest(self._session)
+        self._states = initial_states(self._session)
         self._single = self._input.shape[0] == 1 or bool(self._states)
         self.observed = _width(path, self._input)
         self.actions = _width(path, self._output)
@@ -78,7 +78,7 @@ class OnnxController(Controller):
 
     def reset(self, seed: int) -> None:
         """Start an episode: states are 0, and sampling begins anew."""
-        self._states = rest(self._session)
+        self._states = initial_states(self._session)
         if self._sampler is not None:
             self._sampler.reset(seed)
 
@@ -111,7 +111,7 @@ class OnnxController(Controller):
         """
         if not self._presynaptic:
             return None
-        presynaptic = self._run(self._presynaptic, observations, rest(self._session))
+        presynaptic = self._run(self._presynaptic, observations, initial_states(self._session))
         # MACs = sum over weight matrices of non-zero inputs x fan-out
         operations = zip(presynaptic, self._fan_outs(), strict=True)
         return float(
@@ -205,7 +205,7 @@ def _ends(path: str | Path, session: Any) -> tuple[Any, list[Any]]:  # noqa: ANN
 
     Inputs and outputs of states stand behind them, and are left out.
     """
-    states = rest(session)
+    states = initial_states(session)
     behind = {f"{NEXT}{name}" for name in states}
     inputs = [each for each in session.get_inputs() if each.name not in states]
     outputs = [each for each in session.get_outputs() if each.name not in behind]

@@ -173,7 +173,9 @@ class TorchController(Controller):
         from spikedeploy.trainers.policies import DeltaSnnPolicy
 
         self._rng = Xorshift(seed, self.policy.observations)
-        self._state = self.policy.rest(1) if isinstance(self.policy, DeltaSnnPolicy) else None
+        self._state = (
+            self.policy.initial_states(1) if isinstance(self.policy, DeltaSnnPolicy) else None
+        )
         if self._sampler is not None:
             self._sampler.reset(seed)
 

@@ -101,7 +101,7 @@ class ExpertController(Controller):
         from spikedeploy.trainers.distill.teacher import OwnSpaces
         from spikedeploy.trainers.distill.teachers import expert_of
 
-        expert = expert_of(OwnSpaces.within(env.spec.id if env.spec else "", env)).among([env])
+        expert = expert_of(OwnSpaces.within(env.spec.id if env.spec else "", env)).in_envs([env])
         return cls(expert, isinstance(env.action_space, gymnasium.spaces.Discrete))
 
     def act(self, observation: Floats) -> NDArray[Any]:

@@ -119,7 +119,7 @@ def _rules(check: DesignCheck) -> Table:
 
 
 def _rule(check: DesignCheck, rule: str) -> tuple[str, ...]:
-    result, results = check.worst[rule], check.rulings_on(rule)
+    result, results = check.worst[rule], check.results_of(rule)
     found = "" if result.found is None else f"{format_value(result.found)} {result.unit}".rstrip()
     node = "" if result.status == "not applicable" else result.node or ""
     if result.status == "pass" and result.node and isinstance(result.found, str):

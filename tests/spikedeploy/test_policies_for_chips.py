@@ -26,7 +26,7 @@ def file(request):
 
 def test_the_design_rules_of_its_chip_accept_it(file):
     found = check(load(file), chip(file.stem))
-    assert found.passed, [each.describe(file.stem) for each in found.rulings if each.failed]
+    assert found.passed, [each.describe(file.stem) for each in found.results if each.failed]
 
 
 def test_it_acts_in_its_environment_on_its_chip(file):

@@ -123,4 +123,4 @@ def test_the_levels_of_any_environment_follow_its_budget(student):
     config = resolve(SparseConfig, f"distill-{student}", overrides=['env.name="CartPole-v1"'])
     assert (config.search, config.budget) == (True, 0)
     unit = "sops" if student == "sparse" else "macs"
-    assert with_budget(config, f"{unit}=40").rounds == (120.0, 80.0, 60.0, 48.0, 40.0)
+    assert with_budget(config, f"{unit}=40").levels_in_order == (120.0, 80.0, 60.0, 48.0, 40.0)

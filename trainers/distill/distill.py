@@ -129,7 +129,7 @@ def collect(
     Returns observations (n, obs), labels (n, act), and the returns of the episodes that ended.
     """
     envs = iteration_envs(config, iteration)
-    teacher = teacher.among(envs.worlds)
+    teacher = teacher.in_envs(envs.worlds)
     visited: list[FloatArray] = []
     labels: list[FloatArray] = []
     rng = np.random.default_rng((config.seed, iteration, 1))

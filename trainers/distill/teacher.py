@@ -31,8 +31,8 @@ class Teacher:
     env: short name or id of its environment, empty if unknown
     widths: widths of a multilayer perceptron, from observations to actions; empty if unknown
     restart: called when an episode begins, of a script with a memory
-    asks: of a teacher that knows the simulation: actions (B, act) in B environments, as they are
-        now; `act_all` is refused before it is `among` them
+    act_in_envs: of a teacher that knows the simulation: actions (B, act) in B environments, as
+        they are now; `act_all` is refused until `in_envs` is told which
     """
 
     act_all: Callable[[FloatArray], FloatArray]
@@ -41,14 +41,14 @@ class Teacher:
     env: str = ""
     widths: tuple[int, ...] = ()
     restart: Callable[[], object] | None = None
-    asks: Callable[[Sequence[Env[Any, Any]]], FloatArray] | None = None
+    act_in_envs: Callable[[Sequence[Env[Any, Any]]], FloatArray] | None = None
 
-    def among(self, worlds: Sequence[Env[Any, Any]]) -> "Teacher":
+    def in_envs(self, worlds: Sequence[Env[Any, Any]]) -> "Teacher":
         """Return the teacher of robots in these environments, the first of each batch first."""
-        if self.asks is None:
+        if self.act_in_envs is None:
             return self
-        asks = self.asks
-        return replace(self, act_all=lambda observation: asks(worlds[: len(observation)]))
+        act_in_envs = self.act_in_envs
+        return replace(self, act_all=lambda observation: act_in_envs(worlds[: len(observation)]))
 
     def check_sizes(self, path: str, env: str, sizes: tuple[int, int]) -> None:
         """Refuse a teacher of other numbers of observations and actions than an environment's."""

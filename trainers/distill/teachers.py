@@ -66,7 +66,7 @@ def expert_of(spaces: OwnSpaces) -> Teacher:
     environment's own units; of one of several actions its number, or a logit for each.
     """
 
-    def asks(worlds: Sequence[Any]) -> FloatArray:
+    def act_in_envs(worlds: Sequence[Any]) -> FloatArray:
         own = (world.unwrapped for world in worlds)
         inner: list[Any] = [w.inner.unwrapped if isinstance(w, AdaptedEnv) else w for w in own]
         if missing := [world for world in inner if not hasattr(world, EXPERT)]:
@@ -81,7 +81,7 @@ def expert_of(spaces: OwnSpaces) -> Teacher:
     def refuse(observation: FloatArray) -> FloatArray:
         raise ConfigError("the expert of an environment acts where it runs, not on observations")
 
-    return Teacher(refuse, spaces.observations, spaces.actions, asks=asks)
+    return Teacher(refuse, spaces.observations, spaces.actions, act_in_envs=act_in_envs)
 
 
 _TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
@@ -273,7 +273,7 @@ def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
     name = "max_episode_steps" if envs.spec(env.name).foreign else "max_steps"
     limit: Mapping[str, Any] = {} if config.limit is None else {name: config.limit}
     made = envs.make(env.name, **{**env.options, **limit})
-    teacher = teacher.among([made])
+    teacher = teacher.in_envs([made])
     logits = teacher.act_all
     if isinstance(made.action_space, Discrete):
         teacher = replace(teacher, act_all=lambda seen: logits(seen).argmax(-1))

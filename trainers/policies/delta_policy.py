@@ -173,7 +173,7 @@ class DeltaSnnPolicy(Policy):
         """Timesteps from an event, or a hidden spike, to where it acts."""
         return int(self.clock == "pipelined")
 
-    def rest(self, robots: int) -> DeltaState:
+    def initial_states(self, robots: int) -> DeltaState:
         """Return the state at the beginning of an episode."""
         zeros = self.action_bias.new_zeros
         seen, hidden = zeros(robots, self.observations), zeros(robots, self.hidden)
@@ -280,7 +280,7 @@ class DeltaSnnPolicy(Policy):
 
     def latent(self, observation: Tensor) -> Latent:
         """Return the output of the first control step of an episode."""
-        mean, _, spikes = self.advance(observation, self.rest(len(observation)))
+        mean, _, spikes = self.advance(observation, self.initial_states(len(observation)))
         return Latent(mean, spikes.sum(1), (spikes.mean(),))
 
     def spec(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ class FloatController:
     def reset(self, robots: int) -> None:
         """Start an episode of each."""
         if isinstance(self.policy, DeltaSnnPolicy):
-            self._state: Any = self.policy.rest(robots)
+            self._state: Any = self.policy.initial_states(robots)
 
     @torch.no_grad()
     def mean(self, observation: FloatArray) -> Tensor:

@@ -83,7 +83,7 @@ def planned(config: SparseConfig) -> list[Phase]:
     for k in range(config.dense_rounds):
         low = 0.05 if k == config.dense_rounds - 1 else 0.3
         plan.add(plan.dense_length, None, config.learning_rate, low, 0.0)
-    for level in config.rounds:
+    for level in config.levels_in_order:
         plan.level(level)
     for _ in range(config.polish):
         plan.polish(config.budget)

@@ -147,7 +147,7 @@ class SparseConfig(RunConfig):
         return list(range(first, first + self.confirm))
 
     @property
-    def rounds(self) -> tuple[float, ...]:
-        """Operations at the end of each round of pruning, the budget last."""
+    def levels_in_order(self) -> tuple[float, ...]:
+        """Operations at the end of each round of pruning: fewer and fewer, the budget last."""
         levels = self.levels or tuple(k * self.budget for k in (3.0, 2.0, 1.5, 1.2))
         return (*sorted((x for x in levels if x > self.budget), reverse=True), self.budget)

@@ -121,7 +121,7 @@ class Sparse(Runner[SparseConfig]):
         self._episodes = Episodes(config.env, _ENV_COPIES, config.validation.limit)
         self._teacher = teacher(
             config.teacher, config.env.name, config.env.options, config.teacher_units
-        ).among(self._episodes.worlds)
+        ).in_envs(self._episodes.worlds)
         self._teacher.check_sizes(config.teacher, config.env.name, self._sizes)
         self.policy = from_config(config.policy, *self._sizes, config.normaliser.clip, batch.head)
         self.pool = WalkPool()
@@ -184,7 +184,7 @@ class Sparse(Runner[SparseConfig]):
         """Collect walks, set the encoder's steps, and start the next phase with a new optimiser."""
         # the validated policy collects: with the chip's numbers once training computes with them
         student = self._student
-        walking = student.deployed(self._chip) if student.rounds else self.policy
+        walking = student.deployed(self._chip) if student.is_rounded else self.policy
         self._collect(FloatController(walking), self.config.walks)
         polished = self._phases[self.phase + 1].polish
         when = ("always",) if polished else ("always", "before-polish")

@@ -266,20 +266,20 @@ class SparsePpo(Runner[SparsePpoConfig]):
 class NoisyActions:
     """Gaussian around the deterministic action tanh(mean), executed within [-1, 1].
 
-    temperature: standard deviation [action]
+    std: standard deviation [action]
     """
 
-    def __init__(self, temperature: float) -> None:
-        self.temperature = temperature
+    def __init__(self, std: float) -> None:
+        self.std = std
 
     def draw(self, mean: Tensor) -> Tensor:
         """Return actions (B, act) drawn around those of the means (B, act), before clipping."""
-        return torch.tanh(mean) + self.temperature * torch.randn_like(mean)
+        return torch.tanh(mean) + self.std * torch.randn_like(mean)
 
     def log_probability(self, mean: Tensor, drawn: Tensor) -> Tensor:
         """Return the log-probability (B,) of drawn actions, but for a constant."""
-        # log p = -1/2 sum ((a - tanh(mean)) / spread)^2 ; the same spread for all of an iteration
-        return -0.5 * ((drawn - torch.tanh(mean)) / self.temperature).square().sum(-1)
+        # log p = -1/2 sum ((a - tanh(mean)) / std)^2 ; the same std for all of an iteration
+        return -0.5 * ((drawn - torch.tanh(mean)) / self.std).square().sum(-1)
 
     def action(self, drawn: Tensor) -> Tensor:
         """Return the action of the environment (B, act) in [-1, 1]."""
@@ -417,9 +417,10 @@ class SparsePpoLearner(Learner):
 
     def schedule(self, progress: float) -> None:
         """Set everything that falls from the first iteration, 0, to the last, 1."""
-        discrete = isinstance(self.head, CategoricalHead)
-        first, last = self._config.temperature if discrete else self._config.noise
-        self.head.temperature = first + (last - first) * progress
+        if isinstance(self.head, CategoricalHead):
+            self.head.temperature = _between(self._config.temperature, progress)
+        else:
+            self.head.std = _between(self._config.noise, progress)
 
     def learn(self, pool: WalkPool, drawn: Tensor, actor: bool) -> dict[str, float]:
         """Learn from walks, and return the metrics.
@@ -543,3 +544,9 @@ class SparsePpoLearner(Learner):
         """Restore the tensors of a checkpoint, the policy's under "policy." included."""
         super().load(named)
         self.scale, self.rate = named["scale"], float(named["rate"])
+
+
+def _between(ends: Ends, progress: float) -> float:
+    """Return what falls from the first end to the last."""
+    first, last = ends
+    return first + (last - first) * progress

@@ -87,7 +87,7 @@ class Student:
     # numbers of the chip
 
     @property
-    def rounds(self) -> bool:
+    def is_rounded(self) -> bool:
         """True if the forward pass computes with rounded numbers."""
         return False
 
@@ -249,7 +249,7 @@ class DeltaStudent(Student):
             self.quanta = quanta if self.each_pass else {}
 
     @property
-    def rounds(self) -> bool:
+    def is_rounded(self) -> bool:
         """True from the first `round` on, where the configuration says so."""
         return bool(self.offsets)
 

@@ -268,7 +268,7 @@ class CubaFloat64(ArithmeticDefaults):
     backends: ClassVar[Mapping[str, str]] = {
         "numpy": "spikedeploy.runtime.families.cuba.numpy_backend:NumpyPipeline",
     }
-    rounds: ClassVar[bool] = False
+    is_rounded: ClassVar[bool] = False
     spikes_max: ClassVar[int] = 1
     weight_bits: ClassVar[int] = 32
     state_bits: ClassVar[tuple[int, ...]] = (32, 32)

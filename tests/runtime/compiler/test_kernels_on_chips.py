@@ -151,7 +151,7 @@ def test_kernels_equal_the_matrices_that_impulses_find(name, drawn, seed, densit
         for layer in program.layers:
             ours, theirs = (machine.recordings[layer.name] for machine in machines)
             np.testing.assert_array_equal(ours.spikes, theirs.spikes)
-            if on.arithmetic.rounds:
+            if on.arithmetic.is_rounded:
                 np.testing.assert_array_equal(ours.membrane, theirs.membrane)
             else:
                 np.testing.assert_allclose(ours.membrane, theirs.membrane, atol=1e-12)

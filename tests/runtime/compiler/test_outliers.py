@@ -42,7 +42,7 @@ def test_the_case_of_an_outlier_row_is_a_remark_and_its_option_mends_it():
     assert remark.endswith(OPTION)
     assert not any("others'" in line for line in found["channel"].remarks)
     assert any(
-        remark in ruling.note for ruling in check(artifact, chip("loihi1")).rulings_on("compile")
+        remark in result.note for result in check(artifact, chip("loihi1")).results_of("compile")
     )
 
 

@@ -115,8 +115,8 @@ def test_readouts_take_cores_where_they_are_on_the_chip(name):
     found = check(artifact, chip(name))
     here = "none" not in name
     assert [p.name for p in found.mapping.placements] == ["input", "n2", "n4"][: 2 + here]
-    assert {r.node for r in found.rulings_on("fan-in") if r.found} == (
+    assert {r.node for r in found.results_of("fan-in") if r.found} == (
         {"n2", "n4"} if here else {"n2"}
     )
-    (compiled,) = found.rulings_on("compile")
+    (compiled,) = found.results_of("compile")
     assert ("the host integrates it" in compiled.note) != here

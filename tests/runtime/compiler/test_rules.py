@@ -272,7 +272,7 @@ BOUNDARIES = [
 
 def statuses(artifact, on, rule):
     found = evaluate(place(artifact, on))
-    return {ruling.status for ruling in found if ruling.rule == rule}
+    return {result.status for result in found if result.rule == rule}
 
 
 @pytest.mark.parametrize(("rule", "on", "keeps", "breaks"), BOUNDARIES)
@@ -318,7 +318,7 @@ def test_all_rules_that_a_network_breaks_are_named():
 
 def test_a_network_of_several_chips_passes_with_a_remark_where_chips_can_be_joined():
     few = {"neurons_per_core": 1, "cores": 2, "input_cores": False}
-    (found,) = check(one(size=5), limited(**few)).rulings_on("chips")
+    (found,) = check(one(size=5), limited(**few)).results_of("chips")
     assert (found.status, found.found) == ("pass", 3)
     assert "more than one chip" in found.note
     assert not check(one(size=5), limited(**few, alone=True)).passed
@@ -346,17 +346,17 @@ NETWORKS = [f"{path.parent.name}/{path.stem}" for path in zoo.policies() if path
 def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
     artifact, on = load(zoo.path(policy)), chip(name)
     found = check(artifact, on)
-    json.dumps([ruling.as_json() for ruling in found.rulings], allow_nan=False)
+    json.dumps([result.as_json() for result in found.results], allow_nan=False)
     if on.limits is None:
         return
     node_rules = [name for name, rule in RULES.items() if not rule.network]
-    judged_ = {(ruling.rule, ruling.node) for ruling in found.rulings}
+    judged_ = {(result.rule, result.node) for result in found.results}
     assert {(rule, node) for rule in node_rules for node in artifact.graph.nodes} <= judged_
-    assert {ruling.rule for ruling in found.rulings} == {*RULES, "compile"}
+    assert {result.rule for result in found.results} == {*RULES, "compile"}
     if found.passed:
         compile_program(artifact, on)
     elif name.startswith("loihi"):
-        failed = {ruling.rule for ruling in found.rulings if ruling.failed}
+        failed = {result.rule for result in found.results if result.failed}
         # neurons of brian2's model have no voltage bias
         assert (name, failed) == ("loihi1-brian2", {"compile"})
         assert "/sparse" in policy
@@ -365,7 +365,7 @@ def test_every_node_of_a_shipped_policy_is_judged_by_every_rule(policy, name):
 @pytest.mark.parametrize("name", ["speck2f", "odin", "tinyodin", "truenorth"])
 def test_a_leak_that_a_chip_has_not_is_answered_with_beta_1(name):
     leaky = one(neurons=lif(2), reset="subtract-delayed")
-    found = {each.rule: each for each in check(leaky, chip(name)).rulings if each.failed}
+    found = {each.rule: each for each in check(leaky, chip(name)).results if each.failed}
     assert all("beta=1" in found[rule].remedy for rule in ("primitive", "decay-range"))
     # snnTorch's default reset is the chip's where nothing leaks, if it subtracts
     subtracts = "subtract" in chip(name).resets
@@ -373,7 +373,7 @@ def test_a_leak_that_a_chip_has_not_is_answered_with_beta_1(name):
 
 
 def test_sources_of_both_signs_are_counted_in_words():
-    (found,) = (e for e in check(signed([[1, -1], [2, 1]]), chip("odin")).rulings if e.failed)
+    (found,) = (e for e in check(signed([[1, -1], [2, 1]]), chip("odin")).results if e.failed)
     assert found.found == "1 of 2 sources with both positive and negative weights"
 
 
@@ -384,11 +384,11 @@ def test_a_generated_graph_is_judged_or_refused_by_our_errors(network, name, res
         found = check(Artifact(network, None, replace(CONVENTION, reset=reset)), chip(name))
     except SpikedeployError:
         return
-    json.dumps([ruling.as_json() for ruling in found.rulings], allow_nan=False)
-    for ruling in found.rulings:
-        if ruling.failed and ruling.rule != "compile":
-            assert ruling.remedy
-            assert ruling.rule in ruling.describe(name)
+    json.dumps([result.as_json() for result in found.results], allow_nan=False)
+    for result in found.results:
+        if result.failed and result.rule != "compile":
+            assert result.remedy
+            assert result.rule in result.describe(name)
 
 
 @settings(max_examples=40)
@@ -403,8 +403,8 @@ def test_rules_on_arithmetic_refuse_all_that_the_compiler_refuses(power, slow, i
     artifact = one(neurons=neurons, integrator=integrator)
     rules = ("weight-bits", "threshold-range", "decay-range")
     found = check(artifact, chip(name))
-    refused = [ruling for ruling in found.rulings if ruling.rule in rules and ruling.failed]
-    if found.rulings_on("compile")[0].failed:
+    refused = [result for result in found.results if result.rule in rules and result.failed]
+    if found.results_of("compile")[0].failed:
         assert refused
 
 

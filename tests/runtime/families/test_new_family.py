@@ -88,7 +88,7 @@ def test_its_datasheet_has_a_row_beside_the_others():
 
 def test_design_rules_judge_it_by_its_limits():
     assert check(network(), chip("toy")).passed
-    (neurons,) = [r for r in check(network(9), chip("toy")).rulings_on("neurons") if r.node is None]
+    (neurons,) = [r for r in check(network(9), chip("toy")).results_of("neurons") if r.node is None]
     assert (neurons.status, neurons.found, neurons.limit) == ("fail", 18, 8)
 
 

@@ -85,7 +85,7 @@ def test_without_the_queue_the_host_relays_and_check_says_so():
     off, on = (compile_program(layered(), chip("odin", queue=q)) for q in ("off", "on"))
     assert any("relayed by the host (queue 'off')" in remark for remark in off.remarks)
     assert any("go through the chip's queue" in remark for remark in on.remarks)
-    assert "relayed by the host" in check(layered(), chip("odin")).rulings[-1].note
+    assert "relayed by the host" in check(layered(), chip("odin")).results[-1].note
     looped = compile_program(layered(loop=True), chip("odin", queue="on"))
     assert any("one timestep sooner than in the file" in remark for remark in looped.remarks)
     one = Artifact(chain(nir.Linear(np.eye(3)), integrators(1, 1, 1), width=3, act=3), None,

@@ -79,7 +79,7 @@ def test_every_weight_and_every_field_of_the_code_has_a_gradient(name):
 def test_the_file_keeps_the_design_rules_of_its_chip(name, tmp_path):
     stated = load(to_nir(policy(name), Provenance(""), tmp_path / "policy.nir"))
     found = check(stated, chip(name))
-    assert found.passed, [each.describe(name) for each in found.rulings if each.failed]
+    assert found.passed, [each.describe(name) for each in found.results if each.failed]
     compile_program(stated, chip(name))
 
 

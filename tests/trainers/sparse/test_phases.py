@@ -44,8 +44,8 @@ def test_the_learning_rate_falls_by_half_a_cosine():
 
 
 def test_levels_are_derived_from_the_budget():
-    assert settings(levels=()).rounds == (30, 20, 15, 12, 10)
-    assert settings(levels=(5.0, 40.0, 12.0)).rounds == (40, 12, 10)
+    assert settings(levels=()).levels_in_order == (30, 20, 15, 12, 10)
+    assert settings(levels=(5.0, 40.0, 12.0)).levels_in_order == (40, 12, 10)
 
 
 def searching(**changes):

@@ -179,11 +179,11 @@ def sparse(recipe):
 def test_a_budget_replaces_that_of_the_recipe_and_moves_its_levels():
     before = sparse("hexapod-sparse").model_copy(update={"budget": 60.0, "levels": (180.0, 90.0)})
     found = with_budget(before, "sops=120")
-    assert (found.budget, found.rounds) == (120, (360, 180, 120))
+    assert (found.budget, found.levels_in_order) == (120, (360, 180, 120))
     same = {"budget": 60.0, "levels": (180.0, 90.0)}
     assert found.model_copy(update=same) == before
     derived = with_budget(before.model_copy(update={"levels": ()}), "sops=20")
-    assert derived.rounds == (60, 40, 30, 24, 20)
+    assert derived.levels_in_order == (60, 40, 30, 24, 20)
     assert with_budget(sparse("hexapod-small-mlp"), "macs=500").budget == 500
 
 

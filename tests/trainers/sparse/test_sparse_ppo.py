@@ -147,7 +147,7 @@ def test_replayed_windows_have_the_log_probabilities_of_what_was_executed(played
     learner, pool, drawn = played
     policy = learner.student.acting()
     observation = torch.from_numpy(np.stack([walk.observation for walk in pool.walks], 1))
-    state = policy.rest(2)
+    state = policy.initial_states(2)
     executed = torch.stack(
         [learner.head.log_probability(policy.advance(seen, state)[0], each)
          for seen, each in zip(observation, drawn, strict=True)]
