@@ -64,7 +64,7 @@ class Fitting(nn.Module):
         return connected * straight_through(self._clipped(values.detach()), values)[:, of_type]
 
     @torch.no_grad()
-    def settle(self, weight: Tensor) -> None:
+    def project(self, weight: Tensor) -> None:
         """Set weights that an update gave another sign than their source's back to 0.
 
         Further away they would be 0 for many updates more.

@@ -180,7 +180,7 @@ class ChipModule(nn.Module):
             return self._run(spikes, trace=False)[0]
         for node in self.network.nodes.values():
             if isinstance(node, Weights):
-                node.settle()
+                node.project()
         output, machine = self._run(spikes, trace=True)
         rows = self._propagate(spikes.to(output.dtype), machine)
         self.spikes = {name: rows[name] for name, _ in self._neurons}

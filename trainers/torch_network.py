@@ -90,10 +90,10 @@ class Weights(Node):
         weight, bias = self._folded()
         return weight if self.fitting is None else self.fitting(weight), bias
 
-    def settle(self) -> None:
+    def project(self) -> None:
         """Bring weights that an update moved away from what fits back to it."""
         if self.fitting is not None and self.norm is None:
-            self.fitting.settle(self.layer.weight)
+            self.fitting.project(self.layer.weight)
 
     def _folded(self) -> tuple[Tensor, Tensor | None]:
         weight, bias, norm = self.layer.weight, self.layer.bias, self.norm

@@ -18,7 +18,7 @@ from spikedeploy.runtime.families.integrate_and_fire.spike_queue import (
     Crossbar,
     CrossbarNeurons,
     Event,
-    WorkedEvent,
+    EventResult,
     axons,
 )
 from spikedeploy.runtime.traces.fields import Fields, Integers
@@ -72,7 +72,7 @@ def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
         if recorded is None:
             raise spec.wrong("host", "relays", "Add the events in the order of the host.")
         for event in recorded.events:
-            crossbar.work(event)
+            crossbar.process(event)
         steps = recorded.steps
         remarks.append(_AS_SENT)
     else:
@@ -103,7 +103,7 @@ def _work_on(crossbar: Crossbar, sent: list[list[Event]], host: str) -> list[int
     """Give the chip the events that the host sends; the timestep of each that it worked on."""
     steps, last = list[int](), len(sent) - 1
     for t, events in enumerate(sent):
-        crossbar.timestep(events, host == "wait", settles=host != "stream" or t == last)
+        crossbar.timestep(events, host == "wait", drains=host != "stream" or t == last)
         steps += [t] * (len(crossbar.done) - len(steps))
     # while a queue is full, events of a timestep come before the time reference of the next
     references = np.cumsum([done.event == TREF for done in crossbar.done]) - 1
@@ -111,7 +111,7 @@ def _work_on(crossbar: Crossbar, sent: list[list[Event]], host: str) -> list[int
 
 
 def _in_timesteps(
-    done: Sequence[WorkedEvent], steps: Sequence[int], timesteps: int, size: int
+    done: Sequence[EventResult], steps: Sequence[int], timesteps: int, size: int
 ) -> dict[str, Integers]:
     membrane, spikes = (np.zeros((timesteps, size), np.int64) for _ in range(2))
     for step, event in zip(steps, done, strict=True):
@@ -138,7 +138,7 @@ class _Events:
         rows = (t.size if name == "membrane" else len(t) for name, t in self.tables.items())
         return len(self.events) + sum(rows)
 
-    def first_difference(self, done: Sequence[WorkedEvent], steps: list[int]) -> Difference | None:
+    def first_difference(self, done: Sequence[EventResult], steps: list[int]) -> Difference | None:
         """The first event that was another one, or did something else."""
         mine = list(zip(self.steps, self.events, strict=True))
         ours = [(step, each.event) for step, each in zip(steps, done, strict=True)]
@@ -164,7 +164,7 @@ def _describe_event(events: list[tuple[int, Event]], place: int) -> str:
     return f"{kind} of step {step}" if kind == "tref" else f"{kind} {index} of step {step}"
 
 
-def _effects(done: Sequence[WorkedEvent]) -> dict[str, Integers]:
+def _effects(done: Sequence[EventResult]) -> dict[str, Integers]:
     size = len(done[0].membrane) if done else 0
     return {
         "membrane": np.array([each.membrane for each in done]).reshape(len(done), size),

@@ -178,7 +178,7 @@ def _replay_events(recorded: _SpeckTrace, section: str, rows: Mapping[str, int])
     }
     membranes: dict[int, list[Integers]] = {k: [] for k in every}
     for event, axon in enumerate(axons):
-        sent = working.work(Spikes(np.array([event]), np.array([axon])))
+        sent = working.process(Spikes(np.array([event]), np.array([axon])))
         for k, (layer, state) in enumerate(working.states.items()):
             if sent[layer].neuron.size:
                 place = np.unravel_index(sent[layer].neuron, _window(recorded.layers[k]).target)

@@ -74,7 +74,7 @@ class EventMachine(Copyable):
         for first in range(0, len(neurons), _PART):
             part = neurons[first : first + _PART].astype(np.int64)
             events = Spikes(np.arange(first, first + len(part)), part)
-            sent = self._working.work(events)
+            sent = self._working.process(events)
             self._count(events, sent)
             parts.append(sent)
         none = Spikes(np.zeros(0, np.int64), np.zeros(0, np.int64))

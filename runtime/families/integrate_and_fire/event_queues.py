@@ -170,18 +170,18 @@ class EventNetwork:
         self, rules: IntegrateAndFireRules, network: Network, process: ProcessQueue = process_queue
     ) -> None:
         self.layers = wire(rules, network.convention, network.layers)
-        self._input, self._process = network.input, process
+        self._input, self._process_queue = network.input, process
         self.states = {
             e.layer.name: EventState.from_membrane(np.zeros(e.layer.size, np.int64))
             for e in self.layers
         }
 
-    def work(self, events: Spikes) -> dict[str, Spikes]:
+    def process(self, events: Spikes) -> dict[str, Spikes]:
         """Spikes of each layer that follow from events of the input."""
         sent = {self._input: events}
         for each in self.layers:
             queue = _join([sent[s.source] for s in each.layer.synapses])
-            sent[each.layer.name] = self._process(each, queue, self.states[each.layer.name])
+            sent[each.layer.name] = self._process_queue(each, queue, self.states[each.layer.name])
         del sent[self._input]
         return sent
 
@@ -268,7 +268,7 @@ def update_by_events(
         some = np.flatnonzero(row)
         some = some[np.argsort(rank[some])]
         axons = np.repeat(some, row[some])
-        sent = working.work(Spikes(np.zeros(len(axons), np.int64), axons))
+        sent = working.process(Spikes(np.zeros(len(axons), np.int64), axons))
         for layer, after in working.states.items():
             states[layer].membrane[copy] = after.membrane
             spikes = np.bincount(sent[layer].neuron, minlength=len(after.membrane))

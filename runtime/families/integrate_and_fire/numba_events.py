@@ -101,7 +101,7 @@ def process_queue(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
     neurons: list[NDArray[np.int64]] = []
     first = 0
     while first < len(queue.axon):
-        done, sent = work(
+        done, sent = process_events(
             *layer, *queue, state.membrane, state.touched, state.overflows, cause, neuron, first,
             len(cause) - most,
         )  # fmt: skip
@@ -118,7 +118,7 @@ def _rows(size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 @frame.kept_on_disk
-def work(
+def process_events(
     wires: Array,
     weights: Array,
     tables: Array,
@@ -138,7 +138,7 @@ def work(
 ) -> Any:  # noqa: ANN401
     """Events from `first` on, until all are done or more than `room` spikes were sent.
 
-    Returns the number of the first event that was not worked on, and the spikes sent.
+    Returns the number of the first event that was not processed, and the spikes sent.
     """
     layer = Arrays(wires, weights, tables, threshold, floor, rules)
     count = 0

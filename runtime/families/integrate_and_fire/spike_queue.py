@@ -1,8 +1,8 @@
 """A timestep of ODIN and tinyODIN with their on-chip queue of spikes, event by event.
 
 All neurons share one crossbar: every event reaches each of them. Events wait in one queue, those
-from the host as well as neurons' own spikes, and are worked on in the order in which they came;
-spikes of one event by the index of the neuron. The event that is worked on keeps its entry until it
+from the host as well as neurons' own spikes, and are processed in the order in which they came;
+spikes of one event by the index of the neuron. The event that is processed keeps its entry until it
 is done. A spike that finds the queue full is lost; the host waits. A time reference is not queued.
 """
 
@@ -53,7 +53,7 @@ class CrossbarNeurons:
 
 
 @dataclass(frozen=True, eq=False)
-class WorkedEvent:
+class EventResult:
     """The effect of one event.
 
     membrane: (N,) after it.
@@ -82,43 +82,43 @@ class Crossbar:
     def __init__(self, wired: CrossbarNeurons, membrane: Integers, most: int = _ENDLESS) -> None:
         self.most = most
         self.membrane = membrane
-        self.done: list[WorkedEvent] = []
+        self.done: list[EventResult] = []
         self.wired = wired
         self._queue: deque[Event] = deque()
 
-    def timestep(self, sent: Iterable[Event], waits: bool, settles: bool = True) -> None:
+    def timestep(self, sent: Iterable[Event], waits: bool, drains: bool = True) -> None:
         """A time reference, and the events that the host sends after it.
 
         waits: the host sends each event when the chip is idle; else as fast as it takes them, and
-            then one event is worked on between any two.
-        settles: all events are done in the end.
+            then one event is processed between any two.
+        drains: all events are processed in the end.
         """
-        advance = self.settle if waits else self.work_on
+        advance = self.drain if waits else self.process_next
         self.time_reference()
         advance()
         for event in sent:
             self._make_room()
             self._queue.append(event)
             advance()
-        if settles:
-            self.settle()
+        if drains:
+            self.drain()
 
     def time_reference(self) -> None:
         """Let all neurons leak; no queued event comes before it, unless the queue is full."""
         self._make_room()
-        self.work(TREF, entries_held=0)
+        self.process(TREF, entries_held=0)
 
-    def settle(self) -> None:
-        """Work until nothing is queued."""
+    def drain(self) -> None:
+        """Process events until none is queued."""
         while self._queue:
-            self.work_on()
+            self.process_next()
 
-    def work_on(self) -> None:
-        """Work on the first event in the queue, if there is one."""
+    def process_next(self) -> None:
+        """Process the first event in the queue, if there is one."""
         if self._queue:
-            self.work(self._queue.popleft(), entries_held=1)
+            self.process(self._queue.popleft(), entries_held=1)
 
-    def work(self, event: Event, entries_held: int = 1) -> None:
+    def process(self, event: Event, entries_held: int = 1) -> None:
         """Process an event, which occupies some entries meanwhile, and queue the spikes."""
         if len(self.done) >= self.most:
             raise RuleError(
@@ -135,7 +135,7 @@ class Crossbar:
         spikes = np.flatnonzero((now.spikes[0] > 0) & ~wired.muted).tolist()
         room = max(0, wired.entries - len(self._queue) - entries_held)
         self._queue.extend(("neuron", neuron) for neuron in spikes[:room])
-        result = WorkedEvent(
+        result = EventResult(
             event=event,
             membrane=self.membrane,
             spikes=tuple(spikes),
@@ -148,7 +148,7 @@ class Crossbar:
     def _make_room(self) -> None:
         entries = self.wired.entries
         while entries and len(self._queue) >= entries:
-            self.work_on()
+            self.process_next()
 
 
 def update_together(
