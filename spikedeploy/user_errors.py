@@ -23,7 +23,8 @@ DOES_NOT_FIT, BAD_INPUT = 1, 2
 
 def exit_code(error: Exception) -> int:
     """DOES_NOT_FIT where a network breaks a rule of its chip, else BAD_INPUT."""
-    return DOES_NOT_FIT if _is(error, "spikedeploy.runtime.errors", "RuleError") else BAD_INPUT
+    breaks = _is_instance(error, "spikedeploy.runtime.errors", "RuleError")
+    return DOES_NOT_FIT if breaks else BAD_INPUT
 
 
 def one_line(error: Exception) -> str | None:
@@ -45,11 +46,12 @@ def one_line(error: Exception) -> str | None:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:
         return f"{error.strerror}: the disk is full, or where the output goes"
-    expected = isinstance(error, SpikedeployError) or _is(error, "gymnasium.error", "Error")
+    of_gymnasium = _is_instance(error, "gymnasium.error", "Error")
+    expected = isinstance(error, SpikedeployError) or of_gymnasium
     return " ".join(str(error).split()) if expected else None
 
 
-def _is(error: Exception, module: str, name: str) -> bool:
+def _is_instance(error: Exception, module: str, name: str) -> bool:
     """Return True if it is of a class; one whose module is not loaded cannot have been raised."""
     loaded = sys.modules.get(module)
     return loaded is not None and isinstance(error, getattr(loaded, name))

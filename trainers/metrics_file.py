@@ -128,7 +128,7 @@ class _TensorBoardLog:
             self._writer.close()
 
 
-def read(path: Path) -> list[dict[str, float]]:
+def read_metrics(path: Path) -> list[dict[str, float]]:
     """Return the rows of a metrics file, without empty values."""
     if not path.is_file():
         what = "is no plain file" if path.exists() else "is missing"
@@ -162,7 +162,7 @@ def _rounded(row: Mapping[str, float]) -> dict[str, str]:
 
 def draw_curve(metrics: Path, picture: Path, title: str) -> None:
     """Draw the returns of a metrics file, if any, as PNG, and operations where they are counted."""
-    rows = read(metrics)
+    rows = read_metrics(metrics)
     steps = next(iter(rows[0]), None) if rows else None
     if steps is None or not any(name in row for row in rows for name in _CURVES):
         return

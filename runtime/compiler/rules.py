@@ -192,7 +192,7 @@ _NO_LEAK = (
 )
 
 
-def _leaks_in_vain(design: PlacedNetwork, name: str | None = None) -> bool:
+def _has_leak_the_chip_lacks(design: PlacedNetwork, name: str | None = None) -> bool:
     """Return True if a neuron, or the named one, has a leak or current that the chip lacks."""
     kinds, nodes = design.limits.primitives, design.artifact.graph.nodes
     has_none = "IF" in kinds and not {"LIF", "CubaLIF"} & {*kinds}
@@ -212,9 +212,8 @@ def _primitive(design: PlacedNetwork) -> Results:
             kind = f"{kind} before neurons"
             possible = tuple(each for each in possible if each not in READOUTS)
         replace_it = "Replace the node, or run the network in float."
-        yield _one_of(
-            name, kind, possible, _NO_LEAK if _leaks_in_vain(design, name) else replace_it
-        )
+        remedy = _NO_LEAK if _has_leak_the_chip_lacks(design, name) else replace_it
+        yield _one_of(name, kind, possible, remedy)
 
 
 def _reset(design: PlacedNetwork) -> Results:
@@ -223,7 +222,7 @@ def _reset(design: PlacedNetwork) -> Results:
     remedy = reset_remedy(reset, spiking_kinds(design.artifact), resets)
     if trained_for := design.artifact.trained_for:
         remedy = f"Run it on {trained_for}, for which it was trained."
-    elif _leaks_in_vain(design):  # the leak has to go first
+    elif _has_leak_the_chip_lacks(design):  # the leak has to go first
         remedy = reset_remedy(reset, {"IF"}, resets)
         if reset == "subtract-delayed" and "subtract" in resets:
             remedy = "With beta=1 it passes as well, as snnTorch's default."
@@ -432,7 +431,9 @@ def _decay_range(design: PlacedNetwork) -> Results:
         if any(held is not None and not _holds(held, loss) for loss, held in losses.values()):
             status = "fail"
         found = "a loss of " + ", ".join(f"{s} {_span(loss)}" for s, (loss, _) in losses.items())
-        remedy = _NO_LEAK if _leaks_in_vain(design, name) else "Choose another time constant."
+        remedy = (
+            _NO_LEAK if _has_leak_the_chip_lacks(design, name) else "Choose another time constant."
+        )
         limit, unit = ", ".join(ranges) or None, "of 1 in a timestep"
         yield RuleResult("", name, status, found, limit, unit, remedy)
 

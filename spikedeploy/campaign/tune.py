@@ -311,7 +311,8 @@ class _Pruner(Interrupt):
 
     def report(self, run: Path) -> None:
         """Report the latest validation of a run to the study."""
-        rows = [row for row in metrics_file.read(run / "metrics.csv") if "eval_return" in row]
+        metrics = metrics_file.read_metrics(run / "metrics.csv")
+        rows = [row for row in metrics if "eval_return" in row]
         if rows and self._prunes:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of a step that it was told before

@@ -132,7 +132,7 @@ def against_activity(
     remarks = played[0].remarks  # of the network, so with the first layer alone
     found = []
     for name, rows in wanted.items():
-        found.append(_beside(recording, chip, name, rows, spikes, remarks))
+        found.append(_compare_layer(recording, chip, name, rows, spikes, remarks))
         remarks = ()
     if not any(each.record["recorded"] or each.record["emulated"] for each in found):
         raise ObservationError(
@@ -176,7 +176,7 @@ def _read_samples(path: Path, artifact: Artifact) -> Raster:
     return rows[None] if rows.ndim == len(found[0].shape) + 1 else rows
 
 
-def _beside(
+def _compare_layer(
     path: Path,
     chip: str,
     name: str | None,
@@ -184,7 +184,7 @@ def _beside(
     spikes: Mapping[str, NDArray[Any]],
     remarks: tuple[str, ...],
 ) -> Verification:
-    """A recorded array beside the layer of that name, or beside the only one that it fits."""
+    """Compare a recorded array with the layer of that name, or the only one that it fits."""
     if name is not None and name not in spikes:
         raise ObservationError(
             f"{path}: no layer {name!r} spikes in this network; there are {', '.join(spikes)}"

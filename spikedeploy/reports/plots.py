@@ -19,7 +19,7 @@ from spikedeploy.reports.columns import format_return, has_few_episodes, label
 from spikedeploy.reports.table import Row
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import replacing
-from spikedeploy.trainers.metrics_file import read
+from spikedeploy.trainers.metrics_file import read_metrics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,7 +149,7 @@ class Curve:
 
 def read_curve(metrics: Path, name: str) -> Curve:
     """The learning curve in a run's metrics.csv, whose first column counts its steps."""
-    rows = read(metrics)
+    rows = read_metrics(metrics)
     for column, signal in (("eval_return", "validation"), ("episode_return", "training")):
         if points := _points(rows, column):
             steps, returns = zip(*points, strict=True)

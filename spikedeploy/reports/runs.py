@@ -18,7 +18,7 @@ from spikedeploy.reports.plots import curves_figure, step_unit, svg
 from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import is_locked, write_text
-from spikedeploy.trainers.metrics_file import read, spike_rate
+from spikedeploy.trainers.metrics_file import read_metrics, spike_rate
 from spikedeploy.trainers.run_folder import is_run, runs_in
 
 PAGE = "report.html"
@@ -117,7 +117,7 @@ def scores(run: Path) -> RunScores:
 def metrics_of(run: Path) -> list[dict[str, float]]:
     """The rows of the metrics of a run; none where it has not begun."""
     metrics = run / "metrics.csv"
-    return read(metrics) if metrics.is_file() else []
+    return read_metrics(metrics) if metrics.is_file() else []
 
 
 def _best_validation(run: Path, rows: Sequence[Mapping[str, float]]) -> Mapping[str, Any]:

@@ -6,7 +6,7 @@ from torch.distributions import Categorical, Normal, kl_divergence
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import PopsanConfig, resolve
-from spikedeploy.trainers.metrics_file import read
+from spikedeploy.trainers.metrics_file import read_metrics
 from spikedeploy.trainers.policies import build, from_config
 from spikedeploy.trainers.ppo import (
     CategoricalHead,
@@ -48,7 +48,7 @@ def world(request, monkeypatch):
 )
 def test_it_learns_within_seconds_with_every_head_and_code(recipe, settings, tmp_path, world):
     run = train(recipe, overrides=[*QUICK, *settings], runs=tmp_path, quiet=True)
-    first, *_, last = (row["episode_return"] for row in read(run / "metrics.csv"))
+    first, *_, last = (row["episode_return"] for row in read_metrics(run / "metrics.csv"))
     # of 10: random choices earn 2.5, random pointing about -1.3
     assert last > first + 1.5
     policy = load_policy(run)

@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
-from spikedeploy.trainers.metrics_file import Journal, read
+from spikedeploy.trainers.metrics_file import Journal, read_metrics
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.progress import ProgressBar
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
@@ -228,7 +228,7 @@ def test_people_and_tensorboard_see_success_and_spike_rate(
     assert capsys.readouterr().err.strip().endswith(seen)
     ((step, scalars),) = points
     assert (step, len(scalars)) == (5, 2)
-    assert read(journal._run.metrics) == [{"step": 5.0}]
+    assert read_metrics(journal._run.metrics) == [{"step": 5.0}]
 
 
 def test_tensorboard_gets_the_columns_of_a_row_at_its_step(tmp_path, monkeypatch):
@@ -318,7 +318,7 @@ def test_a_picture_of_damaged_metrics_is_refused_by_name(tmp_path):
     for content in (b"\xff\xfe", b"step,loss\n1,much\n", b"step,loss\n1,2,3\n"):
         path.write_bytes(content)
         with pytest.raises(ConfigError, match=r"metrics\.csv is no table of numbers"):
-            read(path)
+            read_metrics(path)
 
 
 @pytest.fixture
@@ -373,7 +373,7 @@ def test_a_row_that_a_full_disk_cut_off_after_the_checkpoint_is_dropped(run):
     with (run / "metrics.csv").open("a") as file:
         file.write("177,12")
     resumed(run)
-    steps = [row["env_steps"] for row in read(run / "metrics.csv")]
+    steps = [row["env_steps"] for row in read_metrics(run / "metrics.csv")]
     assert steps == sorted(set(steps))
 
 

@@ -6,7 +6,7 @@ from spikedeploy import envs
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import EnvConfig, differences, resolve
 from spikedeploy.trainers.env_batch import EnvBatch
-from spikedeploy.trainers.metrics_file import read
+from spikedeploy.trainers.metrics_file import read_metrics
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.run_folder import load_policy
 from spikedeploy.trainers.runner import Validator
@@ -33,7 +33,9 @@ def pointing(monkeypatch):
 def test_it_learns_to_point_in_a_few_hundred_updates(recipe, tmp_path, pointing):
     overrides = [*QUICK, "rate_penalty=0.01"]
     run = train(recipe, overrides=overrides, runs=tmp_path, quiet=True)
-    returns = [row["eval_return"] for row in read(run / "metrics.csv") if "eval_return" in row]
+    returns = [
+        row["eval_return"] for row in read_metrics(run / "metrics.csv") if "eval_return" in row
+    ]
     assert len(returns) == 2
     # random actions earn -2, perfect ones 10
     assert max(returns) > 5.0
@@ -188,7 +190,7 @@ def test_what_cannot_be_trained_is_refused(settings, word):
 def test_it_learns_on_a_gpu(tmp_path, pointing):
     overrides = [*QUICK, "device=cuda", "precision=float32"]
     run = train("smoke", overrides=overrides, runs=tmp_path, quiet=True)
-    assert max(row.get("eval_return", 0) for row in read(run / "metrics.csv")) > 5.0
+    assert max(row.get("eval_return", 0) for row in read_metrics(run / "metrics.csv")) > 5.0
 
 
 def fill(buffer, numbers):

@@ -26,7 +26,7 @@ from spikedeploy.trainers.distill.teachers import (
     score,
     teacher,
 )
-from spikedeploy.trainers.metrics_file import read
+from spikedeploy.trainers.metrics_file import read_metrics
 from spikedeploy.trainers.policies import (
     MlpPolicy,
     PopsanPolicy,
@@ -128,7 +128,7 @@ def test_states_are_all_kept_and_drawn_at_random():
 
 def test_a_run_leaves_its_files_and_reports_its_share_of_the_teachers_return(onnx, tmp_path):
     run = train("smoke-distill", overrides=[f"teacher={onnx}"], runs=tmp_path, quiet=True)
-    rows = read(run / "metrics.csv")
+    rows = read_metrics(run / "metrics.csv")
     assert (rows[-1]["updates"], rows[-1]["env_steps"], rows[-1]["iteration"]) == (40, 120, 1)
     state = json.loads((run / "checkpoints" / "best.json").read_text())
     assert state["eval_of_teacher"] == pytest.approx(state["eval_return"] / state["teacher_return"])

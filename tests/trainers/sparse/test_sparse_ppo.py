@@ -9,7 +9,7 @@ from spikedeploy.runtime.chips.chip import chip
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.teachers import Teacher
-from spikedeploy.trainers.metrics_file import read
+from spikedeploy.trainers.metrics_file import read_metrics
 from spikedeploy.trainers.ppo import minibatches
 from spikedeploy.trainers.run_folder import RunFolder, load_policy
 from spikedeploy.trainers.sparse.rounding import rounding_offsets
@@ -65,7 +65,7 @@ def test_it_trains_from_the_command_line_and_never_ends_below_its_start(start, t
     )
     assert code == 0, err
     (run,) = tmp_path.iterdir()
-    rows = read(run / "metrics.csv")
+    rows = read_metrics(run / "metrics.csv")
     assert [row["iterations"] for row in rows] == [0, 1, 2, 3]
     assert "gain" not in rows[1]  # the critic alone learns first
     assert "gain" in rows[2]
@@ -102,7 +102,7 @@ def test_the_float_baseline_learns_in_the_same_way(tmp_path):
     for one, other in zip(policy.matrices, old.matrices, strict=True):
         assert torch.equal(one.mask, other.mask)
     assert not torch.equal(policy.matrices[-1].weight, old.matrices[-1].weight)
-    rows = read(run / "metrics.csv")
+    rows = read_metrics(run / "metrics.csv")
     assert all(0 < row["operations"] <= 77 * 8 + 8 * 18 + 77 * 18 for row in rows[1:])
 
 
@@ -258,6 +258,6 @@ def test_reward_teaches_what_the_teacher_does_not_know(world, taught, tmp_path, 
     rewarded = [f"start={run}", *REWARDED, *GATED]
     better = train("smoke-sparse-tuned", overrides=rewarded, runs=tmp_path, quiet=True)
     first, *_, last = (
-        row["eval_return"] for row in read(better / "metrics.csv") if "eval_return" in row
+        row["eval_return"] for row in read_metrics(better / "metrics.csv") if "eval_return" in row
     )
     assert last > first + 1.0
