@@ -679,10 +679,10 @@ RULES = {
     "inputs": Rule(_inputs, "inputs", "inputs", _FEW_INPUTS, network=True),
     "outputs": Rule(_outputs, "outputs", "outputs", "Put a small layer at the end.", network=True),
     "input-targets": Rule(
-        _input_targets, "input_targets", "neurons that hear inputs", _FEWER, network=True
+        _input_targets, "input_targets", "neurons that receive inputs", _FEWER, network=True
     ),
     "output-sources": Rule(
-        _output_sources, "output_sources", "neurons that outputs hear", _FEWER, network=True
+        _output_sources, "output_sources", "neurons that outputs receive", _FEWER, network=True
     ),
     "fan-out-mean": Rule(
         _fan_out_mean, "fan_out_mean", "synapses of a mean spike", _PRUNE, network=True

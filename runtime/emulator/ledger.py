@@ -141,7 +141,7 @@ def count_events(
     counts = np.zeros((*updates.shape, len(EVENTS)), np.int64)
     arriving = {name: rows - lost[name] if name in lost else rows for name, rows in spikes.items()}
     sent = {name: rows.sum(axis=1, dtype=np.int64) for name, rows in spikes.items()}
-    unheard = {name: rows.sum(axis=1) for name, rows in lost.items()}
+    lost_counts = {name: rows.sum(axis=1) for name, rows in lost.items()}
     by_events = program.chip.arithmetic.by_events
     for k, layer in enumerate(program.layers):
         # float64 is exact up to 2**53, and has the matrix product that int64 lacks
@@ -149,7 +149,7 @@ def count_events(
             s: (arriving[s.source] @ s.fan_out.astype(np.float64)).astype(np.int64)
             for s in layer.synapses
         }
-        spike_in = sum(sent[s.source] - unheard.get(s.source, 0) for s in layer.synapses)
+        spike_in = sum(sent[s.source] - lost_counts.get(s.source, 0) for s in layer.synapses)
         leaving = sent[layer.name] if layer.spiking else window_steps[:, k] * layer.size
         has_bias = layer.bias_fan_out > 0
         events = {
@@ -164,7 +164,7 @@ def count_events(
             + leaving * (layer.name in program.output_layers),
             "saturation": overflows[:, k],
             "graded_sop": sum(n for s, n in operations.items() if s.source in program.graded),
-            "lost_spike": unheard.get(layer.name, 0),
+            "lost_spike": lost_counts.get(layer.name, 0),
         }
         for kind, name in enumerate(EVENTS):
             counts[:, k, kind] = events[name]

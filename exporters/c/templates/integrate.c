@@ -15,7 +15,7 @@
 {% if by_event %}
 static void {{ layer.name }}_hear(uint32_t n)
 {
-{% print hear(layer) %}
+{% print receive(layer) %}
 }
 
 {% endif %}
@@ -73,7 +73,7 @@ static void {{ layer.name }}_take(void)
 {% endmacro %}
 
 {# The sum of a neuron, in a step or for one event. #}
-{% macro hear(layer) %}
+{% macro receive(layer) %}
 {% set v = layer.name ~ "_membrane[n]" %}
         {{ v }} = {{ hold(layer, "membrane", v ~ " + sums[n]" ~ (" * " ~ layer.unit | c(kind) if layer.unit > 1 else "")) }};
 {% set floor = plan.floor(layer.layer) %}
@@ -173,7 +173,7 @@ static void {{ layer.name }}_take(void)
 {% set first, last = begin(layer), end(layer) %}
 {% set taken %}
 {% call for_each_neuron(layer) %}
-{% print hear(layer) %}
+{% print receive(layer) %}
 {% endcall %}
 {% endset %}
 {% print first ~ sums ~ taken ~ last %}
