@@ -56,7 +56,7 @@ def test_spiking_takes_so_many_times_the_energy_of_pruned_float_networks():
     assert max(ratios) < most
     table = json.loads((ROOT / "results/phase-table.json").read_text("utf-8"))["joules"]["all"]
     (spiking,) = (float(r["spiking_j"]) for r in rows if r["accumulator_bits"] == "none")
-    assert f"{spiking / table:.0f} times that of a table of the gait's phases" in README
+    assert f"{spiking / table:.0f} times that of a table over gait phases" in README
 
 
 def test_students_take_so_many_times_the_energy_of_the_cheapest_float_policy():
