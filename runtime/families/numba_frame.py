@@ -22,30 +22,55 @@ import numpy as np
 Array = Any  # the compiler sees the types
 Number = Any
 
-# events, in the order of runtime.emulator.ledger.EVENTS
+# events, in the order of runtime.emulator.ledger.EVENTS; nothing here counts the last two
 (
     SPIKE_IN, SOP, BIAS_SOP, UPDATE, IDLE, SPIKE_OUT, MESSAGE, SATURATION, GRADED_SOP, LOST_SPIKE,
 ) = range(10)  # fmt: skip
 
-# columns of Constants.layers, behind which families have their own; STATE is where the layer's
-# states begin in a row of Memory.states, of which a slot has WIDTH, BIAS where its biases begin in
-# Constants.weights; of each layer that IS_OUTPUT the spikes leave the chip, and in each timestep so
-# many membranes as are READ, and the one that LEAVES is what the kernel puts out; the bias axon of
-# a layer is silent, and the host deaf to it, in HEAD rows first and in TAIL rows last
+# columns of Constants.layers, behind which families have their own
 (
-    SIZE, NEURON, STATE, WIDTH, FIRST_WIRE, LAST_WIRE, START, BIAS, BIAS_FAN_OUT, IS_OUTPUT, READ,
-    LEAVES, HEAD, TAIL,
-) = LAYER = range(14)  # fmt: skip
-# columns of Constants.wires, of which the further ones describe a window: what a row, or column, of
-# the source reaches begins at ROWS and COLUMNS in Constants.tables; CHANNELS of a group in the
-# source, FEATURES in the target, of FEATURES times groups in all that ALL_FEATURES are
+    SIZE,  # neurons
+    NEURON,  # its first neuron in Constants.neurons, Constants.floats and Memory.refractory
+    STATE,  # where its states begin in a row of Memory.states
+    WIDTH,  # numbers of a slot of these states
+    FIRST_WIRE,  # its first synapses in Constants.wires
+    LAST_WIRE,  # the first that are no longer its own
+    START,  # chip timestep before which it waits
+    BIAS,  # where its biases begin in Constants.weights
+    BIAS_FAN_OUT,  # neurons that the axon of the biases reaches
+    IS_OUTPUT,  # whether its spikes leave the chip
+    READ,  # membranes that leave the chip in a timestep
+    LEAVES,  # whether the kernel puts out its spikes; one layer's
+    HEAD,  # first rows in which its bias axon is silent and none of its membranes is read
+    TAIL,  # last rows in which that is so
+) = LAYER = range(14)
+# columns of Constants.wires, one for the synapses from a source to a layer; those from SOURCE_Y on
+# describe a window
 (
-    SOURCE, LAG, WEIGHT, FAN_OUT, IS_WINDOW, SOURCE_Y, SOURCE_X, ROWS, COLUMNS, KERNEL_Y, KERNEL_X,
-    CHANNELS, FEATURES, ALL_FEATURES, TARGET_Y, TARGET_X,
-) = WIRE = range(16)  # fmt: skip
-# columns of Constants.sources; NEURONS of each, rows that it REMEMBERS, where its RASTER and its
-# LENGTHS begin in a row of the memory
-NEURONS, REMEMBERS, RASTER, LENGTHS = range(4)
+    SOURCE,  # row of Constants.sources
+    LAG,  # rows by which they deliver late
+    WEIGHT,  # where their weights begin in Constants.weights
+    FAN_OUT,  # where the fan-out of their axons begins in Constants.tables
+    IS_WINDOW,  # whether they are a window, and not a matrix
+    SOURCE_Y,  # height of the source
+    SOURCE_X,  # width of the source
+    ROWS,  # where in Constants.tables begins what each row of the source reaches
+    COLUMNS,  # the same of each column
+    KERNEL_Y,  # height of the kernel
+    KERNEL_X,  # width of the kernel
+    CHANNELS,  # channels of a group in the source
+    FEATURES,  # channels of a group in the target
+    ALL_FEATURES,  # channels of all groups in the target
+    TARGET_Y,  # height of the target
+    TARGET_X,  # width of the target
+) = WIRE = range(16)
+# columns of Constants.sources
+(
+    NEURONS,  # of the source
+    REMEMBERS,  # rows before the window that are still on their way
+    RASTER,  # where its rows begin in a row of Memory.rasters and of Memory.lists
+    LENGTHS,  # where their counts begin in a row of Memory.lengths
+) = range(4)
 # entry of Constants.rules: spikes of an input channel in a timestep, at most
 INPUT_MOST = 0
 # a REGISTER takes so many entries of Constants.rules: what happens to a number that does not fit,
@@ -239,13 +264,13 @@ def run_window(
     turns, rows = (timesteps, 1) if rowwise else (1, timesteps)
     for turn in range(turns):
         for layer in range(len(layers)):
-            about, own = layers[layer], sources[layer + 1]
+            of_layer, own = layers[layer], sources[layer + 1]
             for b in range(batch):
                 memory = memory_of(every, b)
                 for row in range(turn, turn + rows):
-                    before, after = states_of(about, memory, call, row)
-                    spikes = memory.rasters[raster_at(own, row) :][: about[SIZE]]
-                    if has_started(about, call):
+                    before, after = states_of(of_layer, memory, call, row)
+                    spikes = memory.rasters[raster_at(own, row) :][: of_layer[SIZE]]
+                    if has_started(of_layer, call):
                         lost, active = _step(
                             constants, memory, call, layer, row, before, after, spikes
                         )
@@ -287,8 +312,8 @@ def memory_of(memory: Array, b: int) -> Array:
 @jit
 def _forget(constants: Array, memory: Array) -> None:
     """Zero states, and no spike in delivery."""
-    for about in constants.layers:
-        for n in range(about[STATE], about[STATE] + about[WIDTH]):
+    for of_layer in constants.layers:
+        for n in range(of_layer[STATE], of_layer[STATE] + of_layer[WIDTH]):
             memory.states[n] = 0
     memory.refractory[:] = 0
     for source in constants.sources:
@@ -312,18 +337,18 @@ def list_spikes(source: Array, memory: Array, row: int) -> None:
 
 
 @jit
-def has_started(about: Array, call: Array) -> Number:
+def has_started(of_layer: Array, call: Array) -> Number:
     """Return False for a layer that only waits."""
-    return call.step < 0 or call.step >= about[START]
+    return call.step < 0 or call.step >= of_layer[START]
 
 
 @jit
-def states_of(about: Array, memory: Array, call: Array, row: int) -> tuple[Array, Array]:
+def states_of(of_layer: Array, memory: Array, call: Array, row: int) -> tuple[Array, Array]:
     """States of a layer before and after a row of the window."""
-    width = about[WIDTH]
+    width = of_layer[WIDTH]
     # not row % slots, which is a division
     slot, next_slot = (row, row + 1) if call.slots > 2 else (row & 1, ~row & 1)
-    at, to = about[STATE] + slot * width, about[STATE] + next_slot * width
+    at, to = of_layer[STATE] + slot * width, of_layer[STATE] + next_slot * width
     return memory.states[at : at + width], memory.states[to : to + width]
 
 
@@ -369,29 +394,35 @@ def fit(x: Number, rules: Array, at: Number) -> Number:
 
 
 @jit
-def has_bias(about: Array, row: int, timesteps: int) -> Number:
+def has_bias(of_layer: Array, row: int, timesteps: int) -> Number:
     """Return True for the rows in which a layer's bias axon spikes."""
-    return about[HEAD] <= row < timesteps - about[TAIL]
+    return of_layer[HEAD] <= row < timesteps - of_layer[TAIL]
 
 
 @jit
 def sum_weights(
-    constants: Array, memory: Array, scratch: Array, about: Array, row: int, call: Array, many: bool
+    constants: Array,
+    memory: Array,
+    scratch: Array,
+    of_layer: Array,
+    row: int,
+    call: Array,
+    many: bool,
 ) -> None:
     """Fill the first row of the scratch with sums of the bias and of each axon that spiked.
 
     many: whether a source may spike several times in a timestep; a constant at every call.
     """
-    size = about[SIZE]
+    size = of_layer[SIZE]
     sums, plane = scratch[0, :size], scratch[1, :size]
-    if has_bias(about, row, call.timesteps):
-        bias = constants.weights[about[BIAS] : about[BIAS] + size]
+    if has_bias(of_layer, row, call.timesteps):
+        bias = constants.weights[of_layer[BIAS] : of_layer[BIAS] + size]
         for n in range(size):
             sums[n] = bias[n]
     else:
         for n in range(size):
             sums[n] = 0
-    for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+    for k in range(of_layer[FIRST_WIRE], of_layer[LAST_WIRE]):
         wire = constants.wires[k]
         axons, spikes = arrivals(constants, memory, wire, row)
         if wire[IS_WINDOW]:
@@ -504,8 +535,8 @@ def _count(constants: Array, memory: Array, call: Array, steps: int) -> None:
     """The events of the window, as runtime.emulator.ledger.count_events."""
     layers, timesteps = constants.layers, call.timesteps
     for layer in range(len(layers)):
-        about, events = layers[layer], memory.counts[layer]
-        for k in range(about[FIRST_WIRE], about[LAST_WIRE]):
+        of_layer, events = layers[layer], memory.counts[layer]
+        for k in range(of_layer[FIRST_WIRE], of_layer[LAST_WIRE]):
             wire = constants.wires[k]
             # of the rows that the source emitted, not of those that arrived
             source, fan_out = constants.sources[wire[SOURCE]], constants.tables[wire[FAN_OUT] :]
@@ -518,13 +549,13 @@ def _count(constants: Array, memory: Array, call: Array, steps: int) -> None:
             axons, spikes = spikes_of(constants.sources[layer + 1], memory, row)
             for axon in axons:
                 events[SPIKE_OUT] += spikes[axon]
-        biased = timesteps - about[HEAD] - about[TAIL]
-        always_on = biased if has_started(about, call) else 0
-        events[BIAS_SOP] = always_on * about[BIAS_FAN_OUT]
-        events[IDLE] = about[SIZE] * steps - events[UPDATE]
-        events[MESSAGE] = events[SPIKE_IN] + always_on * (about[BIAS_FAN_OUT] > 0)
-        if about[IS_OUTPUT]:
-            events[MESSAGE] += events[SPIKE_OUT] + always_on * about[READ]
+        biased = timesteps - of_layer[HEAD] - of_layer[TAIL]
+        always_on = biased if has_started(of_layer, call) else 0
+        events[BIAS_SOP] = always_on * of_layer[BIAS_FAN_OUT]
+        events[IDLE] = of_layer[SIZE] * steps - events[UPDATE]
+        events[MESSAGE] = events[SPIKE_IN] + always_on * (of_layer[BIAS_FAN_OUT] > 0)
+        if of_layer[IS_OUTPUT]:
+            events[MESSAGE] += events[SPIKE_OUT] + always_on * of_layer[READ]
 
 
 @jit
@@ -533,8 +564,8 @@ def _remember(constants: Array, memory: Array, call: Array) -> None:
     timesteps = call.timesteps
     last = timesteps if call.slots > 2 else timesteps & 1
     if last:
-        for about in constants.layers:
-            width, first = about[WIDTH], about[STATE]
+        for of_layer in constants.layers:
+            width, first = of_layer[WIDTH], of_layer[STATE]
             at = first + last * width
             _copy(memory.states[at : at + width], memory.states[first : first + width])
     for source in constants.sources:

@@ -44,11 +44,11 @@ def _step(
     spikes: Array,
 ) -> tuple[int, int]:
     """A timestep of a layer."""
-    about, own = constants.layers[layer], constants.sources[layer + 1]
-    size, first = about[frame.SIZE], about[frame.NEURON]
+    of_layer, own = constants.layers[layer], constants.sources[layer + 1]
+    size, first = of_layer[frame.SIZE], of_layer[frame.NEURON]
     numbers = constants.neurons[:, first : first + size]
     current, membrane = after[:size], after[size:]
-    lost = _add_events(constants, memory, call, about, row, before[:size], current)
+    lost = _add_events(constants, memory, call, of_layer, row, before[:size], current)
     _decay(numbers[CURRENT_DASH], current)
     lost += _integrate(constants.rules, numbers, before[size:], current, membrane)
     for n in range(size):
@@ -57,7 +57,7 @@ def _step(
     fired, _ = frame.spikes_of(own, memory, row)
     for n in fired:
         # as many spikes as there are thresholds to take off
-        times = min(membrane[n] // numbers[THRESHOLD, n], about[SPIKES_MAX])
+        times = min(membrane[n] // numbers[THRESHOLD, n], of_layer[SPIKES_MAX])
         membrane[n] -= times * numbers[THRESHOLD, n]
         spikes[n] = times
     if not call.counting:
@@ -70,15 +70,15 @@ def _add_events(
     constants: Array,
     memory: Array,
     call: Array,
-    about: Array,
+    of_layer: Array,
     row: int,
     before: Array,
     after: Array,
 ) -> Number:
     """Currents (N,) with the events of a timestep; how many additions did not fit."""
-    rules, size, whole = constants.rules, about[frame.SIZE], after.dtype.type
+    rules, size, whole = constants.rules, of_layer[frame.SIZE], after.dtype.type
     events, largest = 0, 0
-    for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
+    for k in range(of_layer[frame.FIRST_WIRE], of_layer[frame.LAST_WIRE]):
         wire = constants.wires[k]
         axons, counts = frame.arrivals(constants, memory, wire, row)
         for axon in axons:
@@ -87,7 +87,7 @@ def _add_events(
         largest = max(largest, abs(before[n]))
     if largest + events * rules[LARGEST] <= rules[HIGHEST]:
         # no partial sum can saturate, and so their order does not matter
-        frame.sum_weights(constants, memory, memory.wide, about, row, call, True)
+        frame.sum_weights(constants, memory, memory.wide, of_layer, row, call, True)
         sums = memory.wide[0, :size]
         for n in range(size):
             after[n] = whole(before[n] + sums[n])
@@ -95,7 +95,7 @@ def _add_events(
     lost = 0
     for n in range(size):
         after[n] = before[n]
-    for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
+    for k in range(of_layer[frame.FIRST_WIRE], of_layer[frame.LAST_WIRE]):
         wire = constants.wires[k]
         axons, counts = frame.arrivals(constants, memory, wire, row)
         for axon in axons:

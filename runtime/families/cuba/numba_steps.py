@@ -30,12 +30,14 @@ from spikedeploy.runtime.families.numba_pipeline import (
     largest_weight,
 )
 
-# columns of Constants.layers behind those of all families; sums of a layer that IS_NARROW fit 16
-# bits, one IN_INTEGERS is always computed in int64, of one with NO_CURRENT nothing stays of a
-# current, of one that is PROVEN no number can be too large, and AXON_BIASED are floats
-IS_NARROW, IN_INTEGERS, NO_CURRENT, PROVEN, AXON_BIASED = range(
-    len(frame.LAYER), len(frame.LAYER) + 5
-)
+# columns of Constants.layers behind those of all families
+(
+    IS_NARROW,  # whether its sums fit 16 bits
+    IN_INTEGERS,  # whether it is always computed in int64
+    NO_CURRENT,  # whether nothing stays of a current
+    PROVEN,  # whether no number can be too large
+    AXON_BIASED,  # whether it has biases that are floats
+) = range(len(frame.LAYER), len(frame.LAYER) + 5)
 # entries of Constants.rules; whether decays round toward zero; what float64 may hold of a current
 # and of a membrane; from here on the registers, as in frame.fit
 SHIFT, ROUNDS, DECAY_BITS, REFRACTORY, SUBTRACT, ROOM_CURRENT, ROOM_MEMBRANE = range(1, 8)
@@ -103,9 +105,9 @@ def _advance(
     spikes: Array,
 ) -> int:
     """A timestep of a layer up to its spikes; how many numbers did not fit."""
-    about, rules, floats = constants.layers[layer], constants.rules, constants.floats
-    size, first = about[frame.SIZE], about[frame.NEURON]
-    frame.sum_weights(constants, memory, scratch, about, row, call, False)
+    of_layer, rules, floats = constants.layers[layer], constants.rules, constants.floats
+    size, first = of_layer[frame.SIZE], of_layer[frame.NEURON]
+    frame.sum_weights(constants, memory, scratch, of_layer, row, call, False)
     sums = scratch[0, :size]
     neurons = Neurons(
         floats[CURRENT_DECAY, first : first + size],
@@ -117,13 +119,13 @@ def _advance(
         np.float64(rules[ROOM_CURRENT]),
         np.float64(rules[ROOM_MEMBRANE]),
         rules[SUBTRACT] == 1,
-        about[PROVEN] == 0,
-        about[AXON_BIASED] == 1 and frame.has_bias(about, row, call.timesteps),
+        of_layer[PROVEN] == 0,
+        of_layer[AXON_BIASED] == 1 and frame.has_bias(of_layer, row, call.timesteps),
     )
-    in_integers = about[IN_INTEGERS] == 1
+    in_integers = of_layer[IN_INTEGERS] == 1
     if not rules[ROUNDS]:
         _float_step(neurons, sums, before, after, spikes, True, False)
-    elif not in_integers and about[NO_CURRENT]:
+    elif not in_integers and of_layer[NO_CURRENT]:
         in_integers = _float_step(neurons, sums, before, after, spikes, False, True)
     elif not in_integers:
         in_integers = _float_step(neurons, sums, before, after, spikes, True, True)

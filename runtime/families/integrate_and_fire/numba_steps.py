@@ -30,10 +30,12 @@ from spikedeploy.runtime.families.numba_pipeline import (
     largest_weight,
 )
 
-# columns of Constants.layers behind those of all families: whether its biases are an event, while
-# the bias axon spikes and while it does not; whether its neurons have one threshold, floor and
-# reset
-AXON_BIASED, BIASED, ALIKE = range(len(frame.LAYER), len(frame.LAYER) + 3)
+# columns of Constants.layers behind those of all families
+(
+    AXON_BIASED,  # whether its biases are an event while the bias axon spikes
+    BIASED,  # whether they are one while it does not
+    ALIKE,  # whether its neurons have one threshold, floor and reset
+) = range(len(frame.LAYER), len(frame.LAYER) + 3)
 # entries of Constants.rules, as in IntegrateAndFireRules; of spikes AT_ONCE where the threshold is
 # looked at once; the four entries of the membrane, as in frame.fit, are the last
 (
@@ -76,8 +78,8 @@ def _step(
     spikes: Array,
 ) -> tuple[int, int]:
     """A timestep of a layer."""
-    about, own, rules = constants.layers[layer], constants.sources[layer + 1], constants.rules
-    size, first = about[frame.SIZE], about[frame.NEURON]
+    of_layer, own, rules = constants.layers[layer], constants.sources[layer + 1], constants.rules
+    size, first = of_layer[frame.SIZE], of_layer[frame.NEURON]
     last, numbers = first + size, constants.neurons
     neurons = Neurons(
         numbers[0, first:last],
@@ -90,11 +92,11 @@ def _step(
     arrived = memory.wide[0, :size]
     if rules[BY_EVENT]:
         lost = _add_events(
-            constants, memory, call, about, row, neurons, before, after, spikes, arrived
+            constants, memory, call, of_layer, row, neurons, before, after, spikes, arrived
         )
     else:
-        frame.sum_weights(constants, memory, memory.wide, about, row, call, True)
-        lost = _add_sums(rules, neurons, about, arrived, before, after, spikes)
+        frame.sum_weights(constants, memory, memory.wide, of_layer, row, call, True)
+        lost = _add_sums(rules, neurons, of_layer, arrived, before, after, spikes)
     if rules[BY_EVENT] and not rules[CHECKS_EVENTS]:
         _fire(neurons, after, spikes)
     frame.list_spikes(own, memory, row)
@@ -113,7 +115,7 @@ def _step(
 def _add_sums(
     rules: Array,
     neurons: Array,
-    about: Array,
+    of_layer: Array,
     sums: Array,
     before: Array,
     after: Array,
@@ -129,10 +131,10 @@ def _add_sums(
     if rules[RESETS_LATE] or (leaks and not rules[LEAKS_LAST]):
         start = after
         _begin(rules, neurons, before, after)
-    if about[BIASED]:
+    if of_layer[BIASED]:
         for n in range(size):
             sums[n] += neurons.push[n]
-    if about[ALIKE] and rules[OVERFLOW] == frame.CLAMP and not rules[LEAKS_LAST]:
+    if of_layer[ALIKE] and rules[OVERFLOW] == frame.CLAMP and not rules[LEAKS_LAST]:
         # one pass over memory, of which large layers are a matter
         floor, fires = neurons.floor[0], neurons.fires[0]
         for n in range(size):
@@ -198,7 +200,7 @@ def _add_events(
     constants: Array,
     memory: Array,
     call: Array,
-    about: Array,
+    of_layer: Array,
     row: int,
     neurons: Array,
     before: Array,
@@ -210,7 +212,7 @@ def _add_events(
 
     arrived: (N,) memory for whether any weight did.
     """
-    rules, weights, size, lost = constants.rules, constants.weights, about[frame.SIZE], 0
+    rules, weights, size, lost = constants.rules, constants.weights, of_layer[frame.SIZE], 0
     for n in range(size):
         after[n], spikes[n], arrived[n] = before[n], 0, 0
     if not rules[LEAKS_LAST]:
@@ -219,7 +221,7 @@ def _add_events(
             # the leak is an event, too
             for n in range(size):
                 lost += _spike_once(rules, neurons, n, after, spikes)
-    for k in range(about[frame.FIRST_WIRE], about[frame.LAST_WIRE]):
+    for k in range(of_layer[frame.FIRST_WIRE], of_layer[frame.LAST_WIRE]):
         wire = constants.wires[k]
         axons, counts = frame.arrivals(constants, memory, wire, row)
         for axon in axons:
@@ -231,12 +233,12 @@ def _add_events(
                     for n in range(size):
                         weight = weights[at + n]
                         lost += _arrive(rules, neurons, n, weight, after, spikes, arrived)
-    biased = frame.has_bias(about, row, call.timesteps)
-    if about[AXON_BIASED if biased else BIASED]:
+    biased = frame.has_bias(of_layer, row, call.timesteps)
+    if of_layer[AXON_BIASED if biased else BIASED]:
         for n in range(size):
             bias = neurons.push[n]
             if biased:
-                bias += weights[about[frame.BIAS] + n]
+                bias += weights[of_layer[frame.BIAS] + n]
             lost += _arrive(rules, neurons, n, bias, after, spikes, arrived)
     if rules[LEAKS_LAST]:
         _leak_all(rules, neurons, after, after)
