@@ -32,7 +32,7 @@ _STATEMENTS = 2048
 
 
 @dataclass(frozen=True)
-class Spikes:
+class SpikeMemory:
     """Memory of the spikes of the input or of a layer.
 
     name: of the source in C.
@@ -65,7 +65,7 @@ class Spikes:
 
 
 @dataclass(frozen=True, eq=False)
-class Projection:
+class SynapsePlan:
     """Synapses between two layers.
 
     name: of the function in C that adds the weights of a spike.
@@ -77,7 +77,7 @@ class Projection:
 
     name: str
     weight: Integers
-    spikes: Spikes
+    spikes: SpikeMemory
     lag: int
     window: Window | None
 
@@ -138,8 +138,8 @@ class LayerPlan:
     layer: Layer
     unit: int
     bias: Integers
-    inputs: Sequence[Projection]
-    spikes: Spikes | None
+    inputs: Sequence[SynapsePlan]
+    spikes: SpikeMemory | None
     states: Mapping[str, str]
     held: frozenset[str]
 
@@ -247,10 +247,10 @@ class Plan:
         return {name: lag + 1 for name, lag in latest.items()}
 
     @cached_property
-    def spikes(self) -> dict[str, Spikes]:
+    def spikes(self) -> dict[str, SpikeMemory]:
         """Spikes of the input and of each layer that has any, by name in the program."""
         return {
-            source: Spikes(
+            source: SpikeMemory(
                 name,
                 self.events_max if source == self.program.input else self.sizes[source],
                 self.times_max[source],
@@ -261,7 +261,7 @@ class Plan:
         }
 
     @property
-    def input(self) -> Spikes:
+    def input(self) -> SpikeMemory:
         """Spikes of the input."""
         return self.spikes[self.program.input]
 
@@ -291,7 +291,7 @@ class Plan:
         merged = int(np.bitwise_or.reduce(np.abs(np.concatenate(units).astype(np.int64))))
         unit = (merged & -merged) or 1
         inputs = [
-            Projection(
+            SynapsePlan(
                 f"{name}_row{k}", each.weight // unit, self.spikes[each.source], lag, each.window
             )
             for k, (each, lag) in enumerate(zip(layer.synapses, lags, strict=True))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.verilog.image import FORGET, STEP, CoreImage, Output
+from spikedeploy.exporters.verilog.image import FORGET, STEP, CoreImage, OutputWords
 from spikedeploy.exporters.verilog.to_verilog import hex_text
 from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.codec.codec import Codec
@@ -110,7 +110,7 @@ def _idle_clocks(image: CoreImage) -> int:
     )
 
 
-def words_of(recorded: Recording, output: Output) -> NDArray[np.uint32]:
+def words_of(recorded: Recording, output: OutputWords) -> NDArray[np.uint32]:
     """Words (T, words) that leave of a layer."""
     if output.silent:
         membranes: NDArray[np.uint32] = recorded.membrane[0].astype("<i4").view("<u4")

@@ -28,7 +28,7 @@ _KINDS = {"none": 0, "wrap": 1, "wrap-once": 2, "clip": 3, "saturate": 4}
 
 
 @dataclass(frozen=True)
-class Output:
+class OutputWords:
     """A layer that the host reads, as its words leave.
 
     layer: its name in the program.
@@ -163,10 +163,10 @@ class CoreImage:
         return 1 << self.lags[1].bit_length()
 
     @cached_property
-    def outputs(self) -> tuple[Output, ...]:
+    def outputs(self) -> tuple[OutputWords, ...]:
         """Layers that the host reads, in the order of their words."""
         return tuple(
-            Output(layer.name, not layer.spiking, layer.size)
+            OutputWords(layer.name, not layer.spiking, layer.size)
             for layer in self.program.layers
             if layer.name in self.program.output_layers
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.exporters.verilog.image import FORGET, STEP, CoreImage, Output
+from spikedeploy.exporters.verilog.image import FORGET, STEP, CoreImage, OutputWords
 from spikedeploy.runtime.errors import ConfigError
 
 PROGRAM = "policy_sim"
@@ -103,7 +103,7 @@ class RtlProcess:
         return ConfigError(f"the simulation {self._process.args!r} has ended by itself")
 
 
-def decode_words(words: NDArray[np.uint32], output: Output) -> NDArray[np.int64]:
+def decode_words(words: NDArray[np.uint32], output: OutputWords) -> NDArray[np.int64]:
     """Membranes, or spikes (N,), that a layer's words stand for."""
     if output.silent:
         return words.astype("<u4").view("<i4").astype(np.int64)

@@ -23,7 +23,7 @@ from spikedeploy.runtime.convention import Convention, Reset
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
-from spikedeploy.runtime.families.integrate_and_fire.event_queues import EventNetwork, Spikes
+from spikedeploy.runtime.families.integrate_and_fire.event_queues import EventNetwork, OrderedSpikes
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.verdict import (
     MOST_NUMBERS,
@@ -178,7 +178,7 @@ def _replay_events(recorded: _SpeckTrace, section: str, rows: Mapping[str, int])
     }
     membranes: dict[int, list[Integers]] = {k: [] for k in every}
     for event, axon in enumerate(axons):
-        sent = working.process(Spikes(np.array([event]), np.array([axon])))
+        sent = working.process(OrderedSpikes(np.array([event]), np.array([axon])))
         for k, (layer, state) in enumerate(working.states.items()):
             if sent[layer].neuron.size:
                 place = np.unravel_index(sent[layer].neuron, _window(recorded.layers[k]).target)

@@ -24,7 +24,7 @@ from spikedeploy.runtime.families.integrate_and_fire import numba_events
 from spikedeploy.runtime.families.integrate_and_fire.arithmetic import IntegrateAndFire
 from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
     EventNetwork,
-    Spikes,
+    OrderedSpikes,
     process_queue,
     update_by_events,
 )
@@ -63,26 +63,28 @@ class EventMachine(Copyable):
         """Set all membranes to 0; the ledger stays."""
         self._working = EventNetwork(self._rules, self.program, self._process)
 
-    def process(self, neurons: NDArray[np.integer[Any]]) -> dict[str, Spikes]:
+    def process(self, neurons: NDArray[np.integer[Any]]) -> dict[str, OrderedSpikes]:
         """Spikes of each layer, in their order, that follow from events of the input.
 
         neurons: (E,) of the input, in C order of its shape, in the order of their time. Spikes name
             the event that they follow from by its place in it.
         """
         self._check(neurons)
-        parts: list[dict[str, Spikes]] = []
+        parts: list[dict[str, OrderedSpikes]] = []
         for first in range(0, len(neurons), _PART):
             part = neurons[first : first + _PART].astype(np.int64)
-            events = Spikes(np.arange(first, first + len(part)), part)
+            events = OrderedSpikes(np.arange(first, first + len(part)), part)
             sent = self._working.process(events)
             self._count(events, sent)
             parts.append(sent)
-        none = Spikes(np.zeros(0, np.int64), np.zeros(0, np.int64))
+        none = OrderedSpikes(np.zeros(0, np.int64), np.zeros(0, np.int64))
         names = [layer.name for layer in self.program.layers]
         if len(parts) == 1:
             return parts[0]
         return {
-            name: Spikes(*map(np.concatenate, zip(none, *(p[name] for p in parts), strict=True)))
+            name: OrderedSpikes(
+                *map(np.concatenate, zip(none, *(p[name] for p in parts), strict=True))
+            )
             for name in names
         }
 
@@ -106,7 +108,7 @@ class EventMachine(Copyable):
         builder.add(count_events(self.program, spikes, updates, overflows, none, 0), 0, 0)
         return builder.ledger()
 
-    def _count(self, events: Spikes, sent: Mapping[str, Spikes]) -> None:
+    def _count(self, events: OrderedSpikes, sent: Mapping[str, OrderedSpikes]) -> None:
         for name, each in {self.program.input: events, **sent}.items():
             counts = self._spikes[name]
             counts += np.bincount(each.neuron, minlength=len(counts))

@@ -48,7 +48,7 @@ from spikedeploy.runtime.families.integrate_and_fire.neurons import (
 )
 
 
-class Spikes(NamedTuple):
+class OrderedSpikes(NamedTuple):
     """Spikes of a layer, or events of the input, in their order.
 
     cause: (n,) place of the event of the network's input that each follows from.
@@ -59,10 +59,10 @@ class Spikes(NamedTuple):
     neuron: Integers
 
 
-class Queue(NamedTuple):
+class EventQueue(NamedTuple):
     """Events that a layer works on, in their order.
 
-    cause: (n,) as in Spikes.
+    cause: (n,) as in OrderedSpikes.
     place: (n,) number of the synapses of the layer that bring each.
     axon: (n,) of those synapses.
     """
@@ -109,10 +109,10 @@ class EventState:
 
 
 # spikes of a layer that works on its queue; `process_queue` below, or its compiled twin
-ProcessQueue: TypeAlias = Callable[[EventLayer, Queue, EventState], Spikes]
+ProcessQueue: TypeAlias = Callable[[EventLayer, EventQueue, EventState], OrderedSpikes]
 
 
-def process_queue(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
+def process_queue(each: EventLayer, queue: EventQueue, state: EventState) -> OrderedSpikes:
     """Work on the queue of a layer, event after event; return its spikes."""
     causes: list[Integers] = []
     neurons: list[Integers] = []
@@ -125,8 +125,8 @@ def process_queue(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
         neurons.append(spikes[np.argsort(each.rank[spikes], kind="stable")])
         causes.append(np.full(len(spikes), cause, np.int64))
     if not causes:
-        return Spikes(np.zeros(0, np.int64), np.zeros(0, np.int64))
-    return Spikes(np.concatenate(causes), np.concatenate(neurons))
+        return OrderedSpikes(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    return OrderedSpikes(np.concatenate(causes), np.concatenate(neurons))
 
 
 def _add(each: EventLayer, reached: Integers, weights: Integers, state: EventState) -> Integers:
@@ -176,7 +176,7 @@ class EventNetwork:
             for e in self.layers
         }
 
-    def process(self, events: Spikes) -> dict[str, Spikes]:
+    def process(self, events: OrderedSpikes) -> dict[str, OrderedSpikes]:
         """Spikes of each layer that follow from events of the input."""
         sent = {self._input: events}
         for each in self.layers:
@@ -186,15 +186,15 @@ class EventNetwork:
         return sent
 
 
-def _join(sources: Sequence[Spikes]) -> Queue:
+def _join(sources: Sequence[OrderedSpikes]) -> EventQueue:
     """The queue of a layer; what an event of the input caused in each source, one after another."""
     place = np.repeat(np.arange(len(sources)), [len(each.cause) for each in sources])
     cause = np.concatenate([each.cause for each in sources])
     axon = np.concatenate([each.neuron for each in sources])
     if len(sources) == 1:
-        return Queue(cause, place, axon)
+        return EventQueue(cause, place, axon)
     turn = np.argsort(cause, kind="stable")
-    return Queue(cause[turn], place[turn], axon[turn])
+    return EventQueue(cause[turn], place[turn], axon[turn])
 
 
 @lru_cache(maxsize=8)
@@ -268,7 +268,7 @@ def update_by_events(
         some = np.flatnonzero(row)
         some = some[np.argsort(rank[some])]
         axons = np.repeat(some, row[some])
-        sent = working.process(Spikes(np.zeros(len(axons), np.int64), axons))
+        sent = working.process(OrderedSpikes(np.zeros(len(axons), np.int64), axons))
         for layer, after in working.states.items():
             states[layer].membrane[copy] = after.membrane
             spikes = np.bincount(sent[layer].neuron, minlength=len(after.membrane))

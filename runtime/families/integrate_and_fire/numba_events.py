@@ -10,9 +10,9 @@ from spikedeploy.runtime.chips.layer import Numbers, Synapses
 from spikedeploy.runtime.families import numba_frame as frame
 from spikedeploy.runtime.families.integrate_and_fire.event_queues import (
     EventLayer,
+    EventQueue,
     EventState,
-    Queue,
-    Spikes,
+    OrderedSpikes,
     window_of,
 )
 from spikedeploy.runtime.families.numba_frame import Array, Number
@@ -93,7 +93,7 @@ def _fan_out(synapses: Synapses) -> int:
     return int(rows * columns) * (window.target[0] // window.groups)
 
 
-def process_queue(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
+def process_queue(each: EventLayer, queue: EventQueue, state: EventState) -> OrderedSpikes:
     """Work on the queue of a layer, event after event; return its spikes."""
     layer, most = arrays(each)
     cause, neuron = _rows(max(_ROOM, most))
@@ -109,8 +109,8 @@ def process_queue(each: EventLayer, queue: Queue, state: EventState) -> Spikes:
         causes.append(cause[:sent].copy())
         neurons.append(neuron[:sent].copy())
     if not causes:
-        return Spikes(*_rows(0))
-    return Spikes(np.concatenate(causes), np.concatenate(neurons))
+        return OrderedSpikes(*_rows(0))
+    return OrderedSpikes(np.concatenate(causes), np.concatenate(neurons))
 
 
 def _rows(size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
