@@ -25,7 +25,7 @@ _FINE = 2  # factor at which the ground is drawn, before it is downscaled
 pygame.font.init()
 
 
-class Scene:
+class TrackPicture:
     """A track scaled to fit a surface.
 
     track: the track drawn
@@ -121,18 +121,18 @@ def _thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, widt
         pygame.draw.circle(surface, colour, tuple(end), width / 2)
 
 
-_scenes: dict[tuple[bytes, ...], Scene] = {}
+_scenes: dict[tuple[bytes, ...], TrackPicture] = {}
 _MOST_SCENES = 16
 
 
-def scene(track: Track, size: tuple[int, int]) -> Scene:
+def scene(track: Track, size: tuple[int, int]) -> TrackPicture:
     """The scene of a track, cached by what the track looks like."""
     looks = (track.walls, track.gates, track.start, np.array(size))
     key = tuple(part.tobytes() for part in looks)
     if key not in _scenes:
         if len(_scenes) >= _MOST_SCENES:
             del _scenes[next(iter(_scenes))]
-        _scenes[key] = Scene(track, size)
+        _scenes[key] = TrackPicture(track, size)
     return _scenes[key]
 
 
@@ -174,7 +174,7 @@ def _ray_angles(env: Any) -> Floats:  # noqa: ANN401
     return angles + env.pose[2] if env.TURNS else angles
 
 
-def _draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
+def _draw_gates(surface: pygame.Surface, place: TrackPicture, next_gate: int) -> None:
     """Draw the gates, the next one highlighted; the finish is part of the ground."""
     width = max(2, round(4.0 * place.pen))
     for index, (a, b) in enumerate(place.on_screen(place.track.gates)):
@@ -187,7 +187,7 @@ def _draw_gates(surface: pygame.Surface, place: Scene, next_gate: int) -> None:
 
 def _draw_scan(
     surface: pygame.Surface,
-    place: Scene,
+    place: TrackPicture,
     pose: tuple[float, float, float],
     angles: Floats,
     distances: Floats,

@@ -24,7 +24,7 @@ from spikedeploy.runtime.families.integrate_and_fire.spike_queue import (
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.verdict import (
     MOST_NUMBERS,
-    Difference,
+    TraceDifference,
     Verdict,
     assumptions,
     count_numbers,
@@ -138,7 +138,9 @@ class _Events:
         rows = (t.size if name == "membrane" else len(t) for name, t in self.tables.items())
         return len(self.events) + sum(rows)
 
-    def first_difference(self, done: Sequence[EventResult], steps: list[int]) -> Difference | None:
+    def first_difference(
+        self, done: Sequence[EventResult], steps: list[int]
+    ) -> TraceDifference | None:
         """The first event that was another one, or did something else."""
         mine = list(zip(self.steps, self.events, strict=True))
         ours = [(step, each.event) for step, each in zip(steps, done, strict=True)]
@@ -148,7 +150,7 @@ class _Events:
         found = first_difference({"": tables}, {"": _effects(done[:place])})
         if found is None and place is not None:
             words = (_describe_event(each, place) for each in (mine, ours))
-            found = Difference(place, None, None, "event", *words)
+            found = TraceDifference(place, None, None, "event", *words)
         if found is None:
             return None
         at = min(found.step or 0, len(mine) - 1)

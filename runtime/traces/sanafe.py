@@ -15,7 +15,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
 from spikedeploy.runtime.metrics.energy_tables import TABLES
 from spikedeploy.runtime.traces.fields import Fields
-from spikedeploy.runtime.traces.verdict import Difference, Verdict, nothing_to_compare
+from spikedeploy.runtime.traces.verdict import TraceDifference, Verdict, nothing_to_compare
 
 _NUMBER = r"([1-9]\d{0,2})"
 _SETUP = re.compile(
@@ -61,7 +61,7 @@ def sanafe_verdict(fields: Fields, _: str) -> Verdict:
         raise nothing_to_compare(fields, ())
     found = _totals(_run(int(inputs), int(neurons), spikes))
     different = (
-        Difference(None, None, None, name, value, found[name])
+        TraceDifference(None, None, None, name, value, found[name])
         for name, value in expected.items()
         if not math.isclose(value, found[name], rel_tol=_TOLERANCE, abs_tol=1e-15)
     )

@@ -27,7 +27,7 @@ from spikedeploy.runtime.families.integrate_and_fire.event_queues import EventNe
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.verdict import (
     MOST_NUMBERS,
-    Difference,
+    TraceDifference,
     Verdict,
     assumptions,
     check_work,
@@ -122,26 +122,28 @@ def speck_verdict(fields: Fields, path: Path) -> Verdict:
     )
 
 
-def _first_difference(key: str, expected: NDArray[Any], found: NDArray[Any]) -> Difference | None:
+def _first_difference(
+    key: str, expected: NDArray[Any], found: NDArray[Any]
+) -> TraceDifference | None:
     """The first row of events, or the first number, that differs."""
     name, k = key.rpartition("_")[::2]
     if name.startswith("event") and name.endswith("spikes"):
         pairs = zip_longest(expected.tolist(), found.tolist(), fillvalue="none")
         for place, (one, other) in enumerate(pairs):
             if one != other:
-                return Difference(place, f"layer {k}", None, name, str(one), str(other))
+                return TraceDifference(place, f"layer {k}", None, name, str(one), str(other))
         return None
     if expected.shape != found.shape:
         shapes = str(expected.shape), str(found.shape)
-        return Difference(None, None, None, f"shape of {key}", *shapes)
+        return TraceDifference(None, None, None, f"shape of {key}", *shapes)
     wrong = np.argwhere(expected != found)
     if not len(wrong):
         return None
     place = wrong[0].tolist()
     values = int(expected[tuple(place)]), int(found[tuple(place)])
     if len(place) == 2:
-        return Difference(place[0], f"layer {k}", place[1], name, *values)
-    return Difference(None, None, None, f"{key}{place}", *values)
+        return TraceDifference(place[0], f"layer {k}", place[1], name, *values)
+    return TraceDifference(None, None, None, f"{key}{place}", *values)
 
 
 # what is computed

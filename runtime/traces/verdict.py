@@ -60,7 +60,7 @@ class TraceFile:
 
 
 @dataclass(frozen=True)
-class Difference:
+class TraceDifference:
     """The first number that is not as recorded.
 
     step: row of the trace, counted from 0.
@@ -105,7 +105,7 @@ class Verdict:
     compared: int
     passed_over: int
     why: str
-    difference: Difference | None
+    difference: TraceDifference | None
     unread: tuple[str, ...]
     remarks: tuple[str, ...] = ()
 
@@ -265,7 +265,7 @@ def first_difference(
     recorded: Tables,
     found: Tables,
     masks: Mapping[tuple[str, str], NDArray[np.bool_]] | None = None,
-) -> Difference | None:
+) -> TraceDifference | None:
     """The earliest difference; within a timestep in the order of layers and quantities.
 
     masks: where to compare, by layer and quantity; everywhere where there is none.
@@ -278,5 +278,5 @@ def first_difference(
             if len(wrong) and (first is None or wrong[0][0] < (first.step or 0)):
                 step, neuron = (int(i) for i in wrong[0])
                 values = int(expected[step, neuron]), int(ours[step, neuron])
-                first = Difference(step, layer, neuron, quantity, *values)
+                first = TraceDifference(step, layer, neuron, quantity, *values)
     return first

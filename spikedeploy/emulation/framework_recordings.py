@@ -15,7 +15,7 @@ import nir
 import numpy as np
 
 from spikedeploy.emulation.rasters import Raster, read_rasters
-from spikedeploy.emulation.verification import Difference, Verification, first_difference
+from spikedeploy.emulation.verification import RasterDifference, Verification, first_difference
 from spikedeploy.runtime.artifact.artifact import Artifact, interpret, load, read_graph_of
 from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
 from spikedeploy.runtime.dialects.tools import PRESETS, WRITERS
@@ -163,7 +163,7 @@ def _batch(path: Path, name: str, rows: Raster, nodes: tuple[Port, ...]) -> Rast
 
 def find_difference(
     artifact: Artifact, read: Recorded, dtype: type[np.floating[Any]] = np.float64
-) -> Difference | None:
+) -> RasterDifference | None:
     """The first difference in time; membranes are compared within a tolerance.
 
     States that are kept go from each inference to the next.
@@ -198,7 +198,7 @@ def find_cause(
     given: Options,
     artifact: Artifact,
     read: Recorded,
-    first: Difference,
+    first: RasterDifference,
     longest: float = _LONGEST,
 ) -> Found:
     """The options that make a file's float twin equal to a recording.

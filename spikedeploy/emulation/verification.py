@@ -76,7 +76,7 @@ def replay_trace(path: Path) -> Verification:
 
 
 @dataclass(frozen=True)
-class Difference:
+class RasterDifference:
     """The first number that is not the recorded one.
 
     count: number of those that differ.
@@ -92,14 +92,14 @@ class Difference:
 
 def first_difference(
     recorded: NDArray[Any], found: NDArray[Any], tolerance: float = 0
-) -> Difference | None:
+) -> RasterDifference | None:
     """The first difference in time of two arrays (B, T, *N); None where there is none."""
     places = np.argwhere(np.abs(found - recorded.astype(np.float64)) > tolerance)
     if not len(places):
         return None
     place = tuple(map(int, places[np.lexsort((places[:, 0], places[:, 1]))[0]]))
     numbers = float(recorded[place]), float(found[place])
-    return Difference(place[0], place[1], place[2:], *numbers, len(places))
+    return RasterDifference(place[0], place[1], place[2:], *numbers, len(places))
 
 
 # what silicon sent

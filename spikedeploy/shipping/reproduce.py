@@ -231,7 +231,7 @@ def _entries(rows: Sequence[_Row], setup: Setup) -> list[Entry]:
 
 
 @dataclass(frozen=True)
-class Difference:
+class RowDifference:
     """A number that was found otherwise than recorded.
 
     row: policy and chip: `sparse · loihi1`
@@ -276,7 +276,7 @@ class Reproduction:
     rows: int
     numbers: int
     verdict: str
-    difference: Difference | None
+    difference: RowDifference | None
     differing: int
     versions: Mapping[str, Sequence[str | None]]
     seconds: float
@@ -356,7 +356,7 @@ def numbers(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any,
 
 def _compare(
     labels: Sequence[str], expected: Sequence[Row], found: Sequence[Row], seeds: range
-) -> Iterator[tuple[str, Difference]]:
+) -> Iterator[tuple[str, RowDifference]]:
     """(verdict, both numbers) of every recorded number; of each row the returns first."""
     for label, then, now in zip(labels, expected, found, strict=True):
         recorded = {name: value for name, value in then.items() if name not in _IDENTITY}
@@ -366,7 +366,7 @@ def _compare(
             seed = seeds[path[1]] if path[0] == _RETURNS else None
             field = _RETURNS if seed is not None else ".".join(map(str, path))
             shown = "nothing" if other is _MISSING else other
-            difference = Difference(label, field, seed, number, shown)
+            difference = RowDifference(label, field, seed, number, shown)
             yield _verdict(number, other, str(path[0])), difference
 
 

@@ -8,7 +8,7 @@ import pytest
 from spikedeploy.runtime.emulator.interpreter import trace
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import TraceError
-from spikedeploy.runtime.traces.verdict import Difference
+from spikedeploy.runtime.traces.verdict import TraceDifference
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN
 from tests.trace_files import recorded_trace
@@ -125,7 +125,7 @@ def test_the_first_difference_names_the_second_current(file):
     found = record["i_syn2"][7][3]
     record["i_syn2"][7][3] += 2
     record["v_mem"][7][0] += 1
-    expected = Difference(7, "hidden", 3, "current 2", found + 2, found)
+    expected = TraceDifference(7, "hidden", 3, "current 2", found + 2, found)
     assert verify(file(record)).difference == expected
 
 

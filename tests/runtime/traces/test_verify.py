@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from spikedeploy.emulation.verification import replay_trace
 from spikedeploy.runtime.errors import SpikedeployError, TraceError
 from spikedeploy.runtime.traces import fields, verdict
-from spikedeploy.runtime.traces.verdict import Difference
+from spikedeploy.runtime.traces.verdict import TraceDifference
 from spikedeploy.runtime.traces.verify import verify
 from tests.paths import GOLDEN
 
@@ -177,7 +177,7 @@ def test_the_first_difference_is_told(quantity, key, lava, file):
     lava[key][30][1] += 1
     lava[key][17][2] -= 64
     found = lava[key][17][2] + 64
-    difference = Difference(17, "layer0", 2, quantity, found - 64, found)
+    difference = TraceDifference(17, "layer0", 2, quantity, found - 64, found)
     assert verify(file(lava)).difference == difference
 
 
