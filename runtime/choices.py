@@ -6,7 +6,7 @@ from typing import Literal
 Reset = Literal["zero", "subtract", "zero-delayed", "subtract-delayed", "subtract-ahead", "none"]
 Integrator = Literal["euler", "exponential"]
 State = Literal["reset", "kept"]
-Spikes = Literal["above", "reached", "many"]
+SpikeCondition = Literal["above", "reached", "many"]
 Floor = Literal["none", "zero", "threshold"]
 Clock = Literal["gated", "pipelined", "free"]
 

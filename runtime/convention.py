@@ -13,7 +13,7 @@ from spikedeploy.runtime.metadata import OPTIONAL, StoredRecord
 Reset = choices.Reset
 Integrator = choices.Integrator
 State = choices.State
-Spikes = choices.Spikes
+SpikeCondition = choices.SpikeCondition
 Floor = choices.Floor
 Clock = choices.Clock
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
@@ -62,7 +62,7 @@ class Convention(StoredRecord):
     delay: int = 0
     state: State = "reset"
     source: str = field(default="stated", compare=False)
-    spikes: Spikes = field(default="above", metadata=OPTIONAL)
+    spikes: SpikeCondition = field(default="above", metadata=OPTIONAL)
     floor: Floor = field(default="none", metadata=OPTIONAL)
     clock: Literal["gated", "pipelined"] = field(default="gated", metadata=OPTIONAL)
 

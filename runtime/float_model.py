@@ -77,7 +77,7 @@ def build_node(name: str, node: nir.NIRNode, convention: Convention, dtype: DTyp
         size = math.prod(window.kernel) if isinstance(node, nir.AvgPool2d) else 1
         return partial(_in_chunks, window, partial(_pool, size))
     if isinstance(node, nir.Delay):
-        return Delay(delay_timesteps(name, node, convention))
+        return FloatDelay(delay_timesteps(name, node, convention))
     if isinstance(node, NEURONS):
         return FloatNeurons(name, node, convention, dtype)
     if isinstance(node, (nir.Input, nir.Output)):
@@ -105,7 +105,7 @@ def _reshape(shape: tuple[int, ...], x: Array) -> Array:
     return x.reshape(*x.shape[:2], *shape)
 
 
-class Delay:
+class FloatDelay:
     """y(t) = x(t - delay), and 0 before the first input has arrived.
 
     timesteps: (*N) delay of each element.
@@ -366,7 +366,7 @@ class FloatGraph(Copyable):
         """Set currents, membranes and all delayed values to 0."""
         self.before = {}
         for node in self.nodes.values():
-            if isinstance(node, (FloatNeurons, Delay)):
+            if isinstance(node, (FloatNeurons, FloatDelay)):
                 node.reset()
 
     def run(self, raster: ArrayLike | Mapping[str, ArrayLike]) -> Trace:
@@ -415,7 +415,7 @@ class FloatGraph(Copyable):
             nodes[name] = SigmaDeltaNeurons(name, node, self.convention, self.dtype, neurons)
         for name, timesteps in self.timing.delays.items():
             # without the timestep that its late edges take
-            nodes[name] = Delay(timesteps)
+            nodes[name] = FloatDelay(timesteps)
         return nodes
 
     def _advance(self, x: Mapping[str, Array]) -> dict[str, Array]:

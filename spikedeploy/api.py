@@ -26,7 +26,7 @@ from spikedeploy.evaluation_setup import OnChip, Reading, Setup
 from spikedeploy.policies.registry import FLOAT
 from spikedeploy.runtime.artifact import artifact as files
 from spikedeploy.runtime.artifact.artifact import Artifact
-from spikedeploy.runtime.choices import Floor, Integrator, Reset, Spikes, State
+from spikedeploy.runtime.choices import Floor, Integrator, Reset, SpikeCondition, State
 from spikedeploy.runtime.codec.codec import GIVE_CODEC
 from spikedeploy.runtime.emulator.controllers import SpikingController
 from spikedeploy.runtime.emulator.running_network import chip_or_float
@@ -191,7 +191,7 @@ def load(
     integrator: Integrator | None = None,
     delay: int | None = None,
     state: State | None = None,
-    spikes: Spikes | None = None,
+    spikes: SpikeCondition | None = None,
     floor: Floor | None = None,
 ) -> LoadedNetwork:
     """Return the network of a `.nir` file, a run folder, or a shipped spiking policy, in float.

@@ -21,7 +21,7 @@ from spikedeploy.runtime.choices import (
     Integrator,
     Reset,
     Rounding,
-    Spikes,
+    SpikeCondition,
     State,
 )
 from spikedeploy.runtime.errors import ConfigError
@@ -68,7 +68,7 @@ class Reading:
     reset: Reset | None = None
     integrator: Integrator | None = None
     delay: Annotated[int, typer.Option(min=0, max=1)] | None = None
-    spikes: Spikes | None = None
+    spikes: SpikeCondition | None = None
     floor: Floor | None = None
     state: State | None = None
     like: Annotated[str, typer.Option(metavar="TOOL")] | None = None

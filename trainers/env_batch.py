@@ -52,7 +52,7 @@ class Steps:
 
 
 @dataclass
-class Episode:
+class RunningEpisode:
     """The episode under way of one copy.
 
     seed: seed of its reset
@@ -90,7 +90,7 @@ class EnvBatch:
         ]
         self._support = math.nan  # never set
         self._totals = np.zeros(config.count)
-        self.episodes = [Episode(0, []) for _ in self._envs]
+        self.episodes = [RunningEpisode(0, []) for _ in self._envs]
         size = self._envs[0].observation_space.shape[0]
         self.observation: NDArray[np.float64] = np.zeros((config.count, size))
         for k in range(config.count):
@@ -161,9 +161,9 @@ class EnvBatch:
 
     def _reset(self, k: int) -> None:
         """Begin a new episode."""
-        self._begin(k, Episode(int(self._rng.integers(TRAINING_SEEDS)), [self._support]))
+        self._begin(k, RunningEpisode(int(self._rng.integers(TRAINING_SEEDS)), [self._support]))
 
-    def _begin(self, k: int, episode: Episode) -> None:
+    def _begin(self, k: int, episode: RunningEpisode) -> None:
         self.observation[k], episode.info = self._envs[k].reset(seed=episode.seed)
         self.episodes[k], self._totals[k] = episode, 0.0
 
@@ -194,7 +194,7 @@ class EnvBatch:
         for k, seed in enumerate(state["seeds"]):
             past = with_prefix(str(k), named)
             actions = list(past["actions"].numpy()) if "actions" in past else []
-            episode = Episode(seed, past["support"].tolist(), actions)
+            episode = RunningEpisode(seed, past["support"].tolist(), actions)
             repeats = self._repeat(k, episode) and repeats
         if repeats and np.array_equal(self.observation, before, equal_nan=True):
             return
@@ -207,7 +207,7 @@ class EnvBatch:
         for k in range(len(self)):
             self._reset(k)
 
-    def _repeat(self, k: int, episode: Episode) -> bool:
+    def _repeat(self, k: int, episode: RunningEpisode) -> bool:
         """Take the actions of an episode again; return whether none of them ended it."""
         self._set_support(k, episode.support[0])
         self._begin(k, episode)

@@ -38,7 +38,7 @@ from spikedeploy.runtime.chips.layer import Recording
 from spikedeploy.runtime.codec.codec import Codec
 from spikedeploy.runtime.compiler.compile import Recompiler
 from spikedeploy.runtime.compiler.program import Program
-from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
+from spikedeploy.runtime.convention import Convention, Floor, Reset, SpikeCondition
 from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from spikedeploy.runtime.families.numba_frame import kept_on_disk
@@ -122,7 +122,9 @@ def convention_on(target: Chip, wanted: Convention) -> Convention:
     reset = nearest if nearest in target.resets else cast("Reset", target.resets[0])
     # without rounding both are exact
     at_threshold = wanted.spikes == "reached" and not arithmetic.is_rounded
-    spikes: Spikes = "reached" if arithmetic.spikes_at_threshold or at_threshold else "above"
+    spikes: SpikeCondition = (
+        "reached" if arithmetic.spikes_at_threshold or at_threshold else "above"
+    )
     if arithmetic.spikes_max > 1 and reset == "subtract":
         spikes = "many"
     floor: Floor = "zero" if getattr(arithmetic, "floor", None) == 0 else "none"

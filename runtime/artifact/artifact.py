@@ -19,7 +19,7 @@ from spikedeploy.runtime.convention import (
     Floor,
     Integrator,
     Reset,
-    Spikes,
+    SpikeCondition,
     State,
     check_timestep,
 )
@@ -162,7 +162,7 @@ def load(
     integrator: Integrator | None = None,
     delay: int | None = None,
     state: State | None = None,
-    spikes: Spikes | None = None,
+    spikes: SpikeCondition | None = None,
     floor: Floor | None = None,
     like: str | None = None,
     written_by: str | None = None,

@@ -21,7 +21,7 @@ from spikedeploy.runtime.compiler.program import Program
 from spikedeploy.runtime.emulator.backend import SavedState, Schedule, check_counts
 from spikedeploy.runtime.emulator.ledger import Counts, LedgerBuilder, count_events
 
-Spikes = NDArray[np.integer[Any]]
+SpikeCounts = NDArray[np.integer[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Interpreter:
         self._draws = draws
         self._memory = max(lag for lags in program.lags for lag in lags)
         self._unbiased = {layer.name: _without_bias(layer) for layer in program.layers}
-        self.tails: dict[str, Spikes] = {
+        self.tails: dict[str, SpikeCounts] = {
             name: np.zeros((batch, self._memory, size), self._dtype(name))
             for name, size in program.sizes.items()
         }
@@ -99,7 +99,9 @@ class Interpreter:
         self.tails = {name: rows[:, timesteps:] for name, rows in sent.items()}
         return {name: _stack(results, self._dtype(name)) for name, results in done.items()}
 
-    def _update_together(self, step: int, sent: Mapping[str, Spikes]) -> Mapping[str, StepResult]:
+    def _update_together(
+        self, step: int, sent: Mapping[str, SpikeCounts]
+    ) -> Mapping[str, StepResult]:
         """A timestep of all layers, where the chip advances them as one; else nothing."""
         arithmetic, layers = self.program.chip.arithmetic, self.program.layers
         if not arithmetic.all_at_once:
@@ -132,7 +134,7 @@ class Interpreter:
         return replace(result, spikes=draws.upset_spikes(place, step, result.spikes))
 
     def _presynaptic(
-        self, layer: Layer, step: int, sent: Mapping[str, Spikes]
+        self, layer: Layer, step: int, sent: Mapping[str, SpikeCounts]
     ) -> list[NDArray[Any]]:
         """Spikes (B, M) that arrive through each synapse of a layer in a chip timestep."""
         program, presynaptic = self.program, []
@@ -157,7 +159,7 @@ def _wait(state: LayerState) -> StepResult:
     return StepResult(none, none.astype(np.bool_), none)
 
 
-def _lengthen(tail: Spikes, timesteps: int) -> Spikes:
+def _lengthen(tail: SpikeCounts, timesteps: int) -> SpikeCounts:
     batch, _, size = tail.shape
     return np.concatenate([tail, np.zeros((batch, timesteps, size), tail.dtype)], axis=1)
 
@@ -179,7 +181,7 @@ def _stack(
 
 def count(
     program: Program,
-    spikes: Mapping[str, Spikes],
+    spikes: Mapping[str, SpikeCounts],
     traces: Mapping[str, LayerTrace] | None = None,
     waiting: Collection[str] = (),
 ) -> Counts:

@@ -53,7 +53,7 @@ def named_columns(names: Iterable[str]) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Recording:
+class EventRecording:
     """A file of events, which is read as often as wanted.
 
     path: path of the file.
@@ -170,7 +170,7 @@ _UNKNOWN = (1 << 14, 1 << 14)
 
 def open_recording(
     path: Path, camera: Size | None = None, fallback: Size | None = None
-) -> Recording:
+) -> EventRecording:
     """The recording in a file; ObservationError where its format is not known or it is damaged.
 
     camera: (height, width) [pixels]; must be what the file says, where it does.
@@ -203,7 +203,7 @@ def open_recording(
     return replace(found, size=camera or found.size or fallback)
 
 
-def _numpy_recording(path: Path) -> Recording:
+def _numpy_recording(path: Path) -> EventRecording:
     # memory-mapped, which takes no memory; no objects are loaded, which could execute code
     array = np.lib.format.open_memmap(path, mode="r")
     names = array.dtype.names or ()
@@ -218,10 +218,10 @@ def _numpy_recording(path: Path) -> Recording:
             rows = array[first : first + PART]
             yield tuple(np.asarray(rows[fields[name]]) for name in "xytp")
 
-    return Recording(path, None, parts)
+    return EventRecording(path, None, parts)
 
 
-def _dat_recording(path: Path) -> Recording:
+def _dat_recording(path: Path) -> EventRecording:
     """Events of a .dat, version 2 (docs.prophesee.ai, Encoding Formats, DAT).
 
     Behind the header stand type and size of an event in a byte each; then for each event its time
@@ -244,10 +244,10 @@ def _dat_recording(path: Path) -> Recording:
             yield word & 0x3FFF, word >> 14 & 0x3FFF, t, word >> 28
 
     size = (header["height"], header["width"]) if {"height", "width"} <= header.keys() else None
-    return Recording(path, size, parts, offset=header.get("t0", 0))  # t0 is faery's
+    return EventRecording(path, size, parts, offset=header.get("t0", 0))  # t0 is faery's
 
 
-def _faery_recording(path: Path, form: str) -> Recording:
+def _faery_recording(path: Path, form: str) -> EventRecording:
     import faery
 
     with path.open("rb") as file:
@@ -266,7 +266,7 @@ def _faery_recording(path: Path, form: str) -> Recording:
             yield events["x"], events["y"], events["t"], events["on"]
 
     width, height = stream().dimensions()
-    return Recording(path, None if (width, height) == _UNKNOWN else (height, width), parts)
+    return EventRecording(path, None if (width, height) == _UNKNOWN else (height, width), parts)
 
 
 def damaged(path: Path, error: Exception) -> ObservationError:
@@ -290,7 +290,7 @@ _MOST_NAMES = 8  # of a file whose layout is not known
 _Places: TypeAlias = list[tuple[str, Any]]
 
 
-def _hdf5_recording(path: Path) -> Recording:
+def _hdf5_recording(path: Path) -> EventRecording:
     """The recording in a file; ObservationError where it has no layout that is known."""
     with h5py.File(path) as file:
         place, columns = _columns(path, file)
@@ -305,7 +305,7 @@ def _hdf5_recording(path: Path) -> Recording:
                 rows = {place: member[first : first + PART] for place, member in members.items()}
                 yield tuple(rows[place][index] for place, index in columns)
 
-    return Recording(path, size, parts, offset)
+    return EventRecording(path, size, parts, offset)
 
 
 def _columns(path: Path, file: h5py.File) -> tuple[str, _Places]:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from spikedeploy.emulation.event_files import Recording, Size
+from spikedeploy.emulation.event_files import EventRecording, Size
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.camera_events import Events
 from spikedeploy.runtime.errors import ConfigError, ObservationError
@@ -126,7 +126,7 @@ class EventInput:
         are aligned to the camera's clock: k has the times from k step_us on.
     """
 
-    recording: Recording
+    recording: EventRecording
     view: EventView
     events: int
     channels: tuple[int, ...]
@@ -182,7 +182,7 @@ class EventInput:
             row, now = np.zeros(size, np.int64), now + 1
 
 
-def read_input(recording: Recording, view: EventView, seconds: float | None) -> EventInput:
+def read_input(recording: EventRecording, view: EventView, seconds: float | None) -> EventInput:
     """Read a recording once; ObservationError where it holds no event or an impossible one.
 
     seconds: duration of a timestep; None where there are none.

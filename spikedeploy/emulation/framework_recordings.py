@@ -17,7 +17,7 @@ import numpy as np
 from spikedeploy.emulation.rasters import Raster, read_rasters
 from spikedeploy.emulation.verification import RasterDifference, Verification, first_difference
 from spikedeploy.runtime.artifact.artifact import Artifact, interpret, load, read_graph_of
-from spikedeploy.runtime.convention import Floor, Integrator, Reset, Spikes, State
+from spikedeploy.runtime.convention import Floor, Integrator, Reset, SpikeCondition, State
 from spikedeploy.runtime.dialects.tools import PRESETS, WRITERS
 from spikedeploy.runtime.errors import ObservationError, SpikedeployError
 from spikedeploy.runtime.float_model import FloatGraph
@@ -31,7 +31,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "reset": get_args(Reset),
     "delay": (0, 1),
     "dt": (1e-4, 1e-3, 1e-2, 1.0, 1e-6),
-    "spikes": get_args(Spikes),
+    "spikes": get_args(SpikeCondition),
     "floor": get_args(Floor),
     "integrator": get_args(Integrator),
     "state": get_args(State),

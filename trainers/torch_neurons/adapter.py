@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from spikedeploy.runtime.convention import Convention, Floor, Reset, Spikes
+from spikedeploy.runtime.convention import Convention, Floor, Reset, SpikeCondition
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.surrogate_neurons import Surrogate
@@ -33,7 +33,7 @@ class TorchNeurons(Neurons):
         takes: Shape,
         described: str,
         reset: Reset,
-        spikes: Spikes = "above",
+        spikes: SpikeCondition = "above",
         floor: Floor = "none",
     ) -> None:
         super().__init__(takes)

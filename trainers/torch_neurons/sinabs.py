@@ -5,13 +5,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from spikedeploy.runtime.convention import Floor, Reset, Spikes
+from spikedeploy.runtime.convention import Floor, Reset, SpikeCondition
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.torch_network import Equation
 from spikedeploy.trainers.torch_neurons.adapter import TorchNeurons, largest, wide
 
 # of spike_fn with its max_num_spikes_per_bin, and reset_fn with its value
-_SPIKES: dict[tuple[str, object], Spikes] = {
+_SPIKES: dict[tuple[str, object], SpikeCondition] = {
     ("MultiSpike", None): "many",
     ("MaxSpike", None): "many",
     ("SingleSpike", None): "reached",
