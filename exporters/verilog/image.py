@@ -16,7 +16,7 @@ from spikedeploy.runtime.families.cuba.arithmetic import CubaFixedPoint
 
 Integers = NDArray[np.int64]
 # target and weight of each synapse of an axon
-Row = tuple[tuple[int, int], ...]
+SynapseRow = tuple[tuple[int, int], ...]
 
 # tokens behind those of axons: the end of a timestep, and before it the start of an episode
 STEP, FORGET = 0x8000, 0x8001
@@ -196,7 +196,7 @@ class CoreImage:
         """Bits of a target: slots from now, and neuron."""
         return unsigned_bits(self.slots - 1) + self.neuron_bits
 
-    def _rows_of(self, source: str, channels: int) -> list[Row]:
+    def _rows_of(self, source: str, channels: int) -> list[SynapseRow]:
         """Target, with its slot, and weight of each synapse of each channel of a source."""
         found: list[dict[int, int]] = [{} for _ in range(channels)]
         for layer in self.plan.layers:
@@ -476,7 +476,9 @@ def _packed(values: Iterable[int], bits: int) -> tuple[int, int]:
     return word, at
 
 
-def _store_rows(inputs: Sequence[Row], neurons: Sequence[Row], target_bits: int) -> Rows:
+def _store_rows(
+    inputs: Sequence[SynapseRow], neurons: Sequence[SynapseRow], target_bits: int
+) -> Rows:
     """Rows of the input's channels and of neurons as words; equal ones, and negatives, once."""
     every = [*inputs, *neurons]
     weights = [weight for row in every for _, weight in row]
@@ -486,7 +488,7 @@ def _store_rows(inputs: Sequence[Row], neurons: Sequence[Row], target_bits: int)
         gap_bits = target_bits
     first = _first(inputs), _first(neurons)
     words: list[int] = []
-    known: dict[Row, int] = {}
+    known: dict[SynapseRow, int] = {}
     starts: list[tuple[int, bool]] = []
     for axon, row in enumerate(every):
         start = first[axon >= len(inputs)]
@@ -506,12 +508,12 @@ def _store_rows(inputs: Sequence[Row], neurons: Sequence[Row], target_bits: int)
     return Rows(tuple(words), gap_bits, weight_bits, tuple(starts), first)
 
 
-def _first(rows: Iterable[Row]) -> int:
+def _first(rows: Iterable[SynapseRow]) -> int:
     """The least target of the rows."""
     return min((row[0][0] for row in rows if row), default=0)
 
 
-def _with_gaps(row: Row, most: int) -> Row:
+def _with_gaps(row: SynapseRow, most: int) -> SynapseRow:
     """Return distance to the previous synapse and weight of each; fillers where it is too wide."""
     found, at = [], 0
     for target, weight in row:
