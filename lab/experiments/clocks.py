@@ -17,7 +17,7 @@ import numpy as np
 from lab.experiments.intervals import nested_ratio, t_interval
 from lab.experiments.runner import RESULTS, TASKS, Experiment, Record
 from spikedeploy import zoo
-from spikedeploy.comparison.comparison import Row
+from spikedeploy.comparison.comparison import PolicyRow
 from spikedeploy.comparison.evaluation import compare_policies
 from spikedeploy.comparison.statistics import (
     Estimate,
@@ -82,7 +82,7 @@ def measure(job: tuple[str]) -> Iterator[Record]:
     yield from (r for r in EXPERIMENT.read() if r["task"] == task and "pruned" in r["kind"])
 
 
-def _result(task: str, kind: str, rows: Sequence[Row], reference: Row) -> Record:
+def _result(task: str, kind: str, rows: Sequence[PolicyRow], reference: PolicyRow) -> Record:
     """A row of the table.
 
     share: of the reference's return in the same episodes, and its 95 % interval over trainings and
@@ -112,7 +112,7 @@ def _result(task: str, kind: str, rows: Sequence[Row], reference: Row) -> Record
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def _laps(rows: Sequence[Row]) -> float:
+def _laps(rows: Sequence[PolicyRow]) -> float:
     """Mean lap time [s] of the episodes that finished; NaN where none has one."""
     laps = [e.metrics["lap_time"] for row in rows for e in row.episodes if "lap_time" in e.metrics]
     return float(np.mean(laps)) if laps else float("nan")

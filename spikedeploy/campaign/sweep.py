@@ -15,7 +15,7 @@ from typing import Any
 from spikedeploy import envs
 from spikedeploy.campaign.sweep_grid import SweepGrid, SweepJob, expand
 from spikedeploy.campaign.sweep_page import Sweep, write_sweep
-from spikedeploy.comparison.comparison import Comparison, Row
+from spikedeploy.comparison.comparison import Comparison, PolicyRow
 from spikedeploy.comparison.episodes import EpisodeJob, period_of, play
 from spikedeploy.console import progress, say
 from spikedeploy.jobs import JobResult, Serial, local_pool, sigterm_as_interrupt
@@ -106,7 +106,7 @@ def evaluate_job(job: SweepJob) -> dict[str, Any]:
     seeds = range(job.seed, job.seed + job.episodes)
     episodes = [play(EpisodeJob(job.env, job.entry, seed)) for seed in seeds]
     spec, period = envs.spec(job.env), period_of(job.env, job.entry.setup)
-    rows = [Row(job.entry, episodes)]
+    rows = [PolicyRow(job.entry, episodes)]
     found = Comparison(spec.id, seeds, rows, spec.foreign, period).as_json()[0]
     return {**found, "steps": [episode.steps for episode in episodes]}
 

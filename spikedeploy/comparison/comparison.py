@@ -37,7 +37,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Row:
+class PolicyRow:
     """One policy on one chip.
 
     entry: policy and chip
@@ -140,7 +140,7 @@ class Performance:
 
     @classmethod
     def from_row(
-        cls, row: Row, ann: Row | None, baseline: Row | None, foreign: bool
+        cls, row: PolicyRow, ann: PolicyRow | None, baseline: PolicyRow | None, foreign: bool
     ) -> "Performance":
         """Return that of a row; intervals of one row are the same in any report."""
         estimate = bootstrap(row.returns, _rng())
@@ -193,7 +193,7 @@ class ReferenceAgreement:
 
     @classmethod
     def from_rows(
-        cls, row: Row, reference: Row, ann: Row | None, foreign: bool
+        cls, row: PolicyRow, reference: PolicyRow, ann: PolicyRow | None, foreign: bool
     ) -> "ReferenceAgreement":
         """Return that of two rows on the same seeds."""
         difference = paired_difference(row.returns, reference.returns, _rng())
@@ -233,7 +233,7 @@ class Comparison:
 
     env: str
     seeds: Sequence[int]
-    rows: Sequence[Row]
+    rows: Sequence[PolicyRow]
     foreign: bool = False
     period: float | None = None
 
@@ -242,11 +242,11 @@ class Comparison:
         """The setup, which all rows share."""
         return self.rows[0].entry.setup
 
-    def row(self, entry: Entry | None) -> Row | None:
+    def row(self, entry: Entry | None) -> PolicyRow | None:
         """The row of an entry."""
         return next((row for row in self.rows if row.entry == entry), None)
 
-    def of_kind(self, *kinds: str) -> Row | None:
+    def of_kind(self, *kinds: str) -> PolicyRow | None:
         """The first row of one of the kinds."""
         return next((row for row in self.rows if row.entry.candidate.kind in kinds), None)
 
@@ -271,7 +271,7 @@ class Comparison:
             )
         return found
 
-    def _costs(self, row: Row) -> dict[str, Any]:
+    def _costs(self, row: PolicyRow) -> dict[str, Any]:
         """Operations, memory and energy of an inference."""
         found, chip = row.costs, row.entry.chip
         ann = self.of_kind("ann") if row.entry.candidate.kind == "snn" else None
@@ -339,12 +339,12 @@ def _break_even(found: Costs, ann: Costs | None, tables: Sequence[str]) -> dict[
     return {"break_even_sops": dense, "break_even_sops_zero_skipping": skipping}
 
 
-def _ratio(row: Row, other: Row, foreign: bool) -> float | None:
+def _ratio(row: PolicyRow, other: PolicyRow, foreign: bool) -> float | None:
     """Share of a return; None if the other is not positive, so that a share has no meaning."""
     return row.mean / other.mean if other.mean > 0 or not foreign else None
 
 
-def _score(row: Row, baseline: Row, ann: Row) -> float | None:
+def _score(row: PolicyRow, baseline: PolicyRow, ann: PolicyRow) -> float | None:
     """Normalised return: 0 for the baseline, 1 for the float ANN; None if the ANN is no better."""
     # score = (return - baseline) / (ANN - baseline)
     span = ann.mean - baseline.mean

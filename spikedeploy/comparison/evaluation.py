@@ -167,9 +167,9 @@ def compare_policies(
             found = iter(pool.in_order(play, todo, done))
             for entry in group:
                 played[entry] = list(islice(found, len(seeds)))
-    from spikedeploy.comparison.comparison import Comparison, Row
+    from spikedeploy.comparison.comparison import Comparison, PolicyRow
 
-    spec, rows = envs.spec(env), [Row(entry, played[entry]) for entry in entries]
+    spec, rows = envs.spec(env), [PolicyRow(entry, played[entry]) for entry in entries]
     return Comparison(spec.id, seeds, rows, spec.foreign, period_of(env, setup))
 
 
@@ -249,11 +249,11 @@ def run_policy(
     if remark := getattr(world.unwrapped, "remark", ""):
         say(remark)
     world.close()
-    from spikedeploy.comparison.comparison import Comparison, Row  # after the first action
+    from spikedeploy.comparison.comparison import Comparison, PolicyRow  # after the first action
 
     if loop is not None:  # it may have played more
         seeds = range(seeds[0], seeds[0] + len(episodes))
-    return Comparison(played.env_id, seeds, [Row(entry, episodes)], foreign, period)
+    return Comparison(played.env_id, seeds, [PolicyRow(entry, episodes)], foreign, period)
 
 
 @contextmanager
