@@ -105,9 +105,9 @@ class WatchedLoop(PacedLoop):
         period = getattr(env.unwrapped, "CONTROL_DT", None)
         if self._rate is None:
             self._pace(self._paced(1 / period if period else _RATE))
-        player = open_with_traces(candidate, chip, env, setup)
+        controller = open_with_traces(candidate, chip, env, setup)
         table = next(iter(self._tables), "") or quoted_among(
-            priced_by(player.chip) if isinstance(player, NirController) else FLOAT_TABLES
+            priced_by(controller.chip) if isinstance(controller, NirController) else FLOAT_TABLES
         )
         self._env, self._head = (
             env,
@@ -121,11 +121,11 @@ class WatchedLoop(PacedLoop):
                 "deadline": self._pacing.deadline,
             },
         )
-        return player
+        return controller
 
-    def rollout(self, env: Env, player: Controller, seed: int) -> Rollout:
+    def rollout(self, env: Env, controller: Controller, seed: int) -> Rollout:
         """One episode, a control step in each period."""
-        played = super().rollout(env, player, seed)
+        played = super().rollout(env, controller, seed)
         why = "terminal state" if played.terminated else "time limit"
         self._view.over({"total": played.total, "success": played.success, "why": why})
         return played
@@ -144,7 +144,7 @@ class WatchedLoop(PacedLoop):
         now = {"episode": self._episode, "seed": self._seed, "scene": scene and scene.shapes}
         self._view.begin({**self._head, **now})
         super()._on_step(recorder)
-        self._tracer = StepTracer(self._player, scene)
+        self._tracer = StepTracer(self._controller, scene)
 
 
 # messages

@@ -44,10 +44,10 @@ class Agreement:
     equal: int | None = None
 
 
-def agreement(player: Controller, played: Rollout, other: Rollout) -> Agreement:
-    """Compare the player, which acted in `played`, with the policy of the other rollout."""
-    player.reset(other.seed)
-    error = player.replay(other.observation[:-1]) - other.action
+def agreement(controller: Controller, played: Rollout, other: Rollout) -> Agreement:
+    """Compare the controller, which acted in `played`, with the policy of the other rollout."""
+    controller.reset(other.seed)
+    error = controller.replay(other.observation[:-1]) - other.action
     return Agreement(
         squared_error=float(np.square(error).sum()),
         actions=error.size,
@@ -87,7 +87,7 @@ def median_divergence(agreements: Sequence[Agreement]) -> float | None:
     return median if np.isfinite(median) else None
 
 
-_KEPT = 16  # environments and players of a process, for the next episode
+_KEPT = 16  # environments and controllers of a process, for the next episode
 
 
 @dataclass(frozen=True)
@@ -139,27 +139,28 @@ class Episode:
 def play(job: EpisodeJob) -> Episode:
     """Play the job's episode and measure it."""
     entry, setup = job.entry, job.entry.setup
-    player = _player(job.env, setup, entry.candidate, entry.chip)
-    played = rollout(_environment(job.env, setup), player, job.seed)
+    controller = _controller(job.env, setup, entry.candidate, entry.chip)
+    played = rollout(_environment(job.env, setup), controller, job.seed)
     if job.record:
         played.save(job.record)
     others = {name: Rollout.load(path) for name, path in job.others.items()}
-    return summarise(player, played, others, setup.metric, envs.spec(job.env).foreign)
+    return summarise(controller, played, others, setup.metric, envs.spec(job.env).foreign)
 
 
 def summarise(
-    player: Controller,
+    controller: Controller,
     played: Rollout,
     others: Mapping[str, Rollout] = MappingProxyType({}),
     metrics: Sequence[str] = (),
     foreign: bool = False,
 ) -> Episode:
-    """Summarise a rollout that the player has just played.
+    """Summarise a rollout that the controller has just played.
 
     metrics: those of --metric, for any environment
     foreign: whether the environment is of another package, whose infos have no metrics here
     """
-    damage, costs = player.damage, player.costs(played)  # first: agreement runs the player again
+    # first: agreement runs the controller again
+    damage, costs = controller.damage, controller.costs(played)
     return Episode(
         total=played.total,
         steps=played.steps,
@@ -167,8 +168,8 @@ def summarise(
         failed=played.failed,
         metrics={} if foreign else measure(played.info),
         costs=costs,
-        agreement={name: agreement(player, played, other) for name, other in others.items()},
-        remarks=player.remarks,
+        agreement={name: agreement(controller, played, other) for name, other in others.items()},
+        remarks=controller.remarks,
         damage=damage,
         measured=measure_named(played.info, metrics),
     )
@@ -186,5 +187,5 @@ def _environment(name: str, setup: Setup) -> gymnasium.Env[Any, Any]:
 
 
 @lru_cache(_KEPT)
-def _player(env: str, setup: Setup, candidate: Candidate, chip: str | None) -> Controller:
+def _controller(env: str, setup: Setup, candidate: Candidate, chip: str | None) -> Controller:
     return open_policy(candidate, chip, _environment(env, setup), setup)

@@ -232,19 +232,20 @@ def run_policy(
         confirm(name, None, candidate.path)
     foreign = envs.spec(name).foreign
     world: Any = envs.make(name, **setup.options(), render_mode=mode)
-    player = (open_policy if loop is None else loop.open)(candidate, entry.chip, world, played_with)
+    opened = open_policy if loop is None else loop.open
+    controller = opened(candidate, entry.chip, world, played_with)
     period = world.unwrapped.CONTROL_DT
     episodes: list[Episode] = []
     with progress(entry.label, len(seeds)) as done:
         for seed in seeds if loop is None else loop.seeds(seeds):
             if loop is not None:
-                played = loop.rollout(world, player, seed)
+                played = loop.rollout(world, controller, seed)
             elif video and not episodes:
                 with _film(video, entry.label, world) as on_step:
-                    played = rollout(world, player, seed, on_step)
+                    played = rollout(world, controller, seed, on_step)
             else:
-                played = rollout(world, player, seed)
-            episodes.append(summarise(player, played, {}, setup.metric, foreign))
+                played = rollout(world, controller, seed)
+            episodes.append(summarise(controller, played, {}, setup.metric, foreign))
             done()
     if remark := getattr(world.unwrapped, "remark", ""):
         say(remark)

@@ -107,8 +107,8 @@ def observed_inputs(
         )
     confirm(where, env, str(candidate.path))
     world = envs.make(where, **options)
-    player = open_policy(candidate, FLOAT, world)
-    played = [rollout(world, player, seed) for seed in seeds]
+    controller = open_policy(candidate, FLOAT, world)
+    played = [rollout(world, controller, seed) for seed in seeds]
     world.close()
     encoded = [artifact.codec.encode_episode(p.observation[:-1], p.seed) for p in played]
     kept, all_ = artifact.convention.state == "kept", sum(map(len, encoded))

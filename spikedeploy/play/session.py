@@ -95,16 +95,16 @@ class KeyboardDriver(Driver):
 class PolicyDriver(Driver):
     """A policy that drives by itself."""
 
-    def __init__(self, player: Controller, name: str) -> None:
-        self.name, self._player = name, player
+    def __init__(self, controller: Controller, name: str) -> None:
+        self.name, self._controller = name, controller
 
     def reset(self, seed: int) -> None:
         """Start an episode."""
-        self._player.reset(seed)
+        self._controller.reset(seed)
 
     def act(self, observation: Floats) -> NDArray[Any]:
         """The policy's action."""
-        return self._player.act(observation)
+        return self._controller.act(observation)
 
 
 class CommandedPolicyDriver(PolicyDriver):
@@ -123,8 +123,8 @@ class CommandedPolicyDriver(PolicyDriver):
     }
     legend = [("UP DOWN", "speed"), ("LEFT RIGHT", "turn"), ("SPACE", "stand")]  # noqa: RUF012
 
-    def __init__(self, player: Controller, name: str, world: Any) -> None:  # noqa: ANN401
-        super().__init__(player, name)
+    def __init__(self, controller: Controller, name: str, world: Any) -> None:  # noqa: ANN401
+        super().__init__(controller, name)
         self._world = world
         self.speed, self.turn = 0.25, 0.0
 
@@ -294,11 +294,11 @@ def _driver(env: str, world: Any, policy: str | None, chip: str | None) -> Drive
         return KeyboardDriver(inner.ACTIONS, None if is_discrete else inner.EFFECTS)
     candidate = _shipped(env) if policy is None else find(policy)
     chip = chip or candidate.default_chip
-    player = open_policy(candidate, chip, world)
+    controller = open_policy(candidate, chip, world)
     name = f"{candidate.name} on {chip}" if chip else candidate.name
     if hasattr(inner, "steer"):
-        return CommandedPolicyDriver(player, name, inner)
-    return PolicyDriver(player, name)
+        return CommandedPolicyDriver(controller, name, inner)
+    return PolicyDriver(controller, name)
 
 
 def _shipped(env: str) -> Candidate:

@@ -196,21 +196,21 @@ class PacedLoop:
                 return
             yield seed
 
-    def rollout(self, env: Env, player: Controller, seed: int) -> Rollout:
+    def rollout(self, env: Env, controller: Controller, seed: int) -> Rollout:
         """One episode, a control step in each period."""
-        self._player = player
+        self._controller = controller
         with without_collections():
             return rollout(env, self, seed, self._on_step)
 
     def reset(self, seed: int) -> None:
         """Reset the policy."""
         self._seed = seed
-        self._player.reset(seed)
+        self._controller.reset(seed)
 
     def act(self, observation: NDArray[np.float64]) -> NDArray[Any]:
         """The policy's action in the next period."""
         self._woke, self._computed = self._metronome.wait(), time.thread_time()
-        action = self._player.act(observation)
+        action = self._controller.act(observation)
         self._acted, self._computed = time.perf_counter(), time.thread_time() - self._computed
         return action
 
@@ -226,8 +226,8 @@ class PacedLoop:
         """Begin an episode, or take the times of a control step."""
         if not recorder.steps:
             if not self._seconds:  # the first inference takes its memory, and may compile
-                self._player.act(recorder.observation)
-                self._player.reset(self._seed)
+                self._controller.act(recorder.observation)
+                self._controller.reset(self._seed)
             self._metronome.start()
             self._began = time.perf_counter()
             return

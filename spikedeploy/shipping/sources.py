@@ -203,13 +203,13 @@ class SpikingSource:
             drift = np.clip(np.cumsum(steps, axis=0), -3, 3)
             return np.asarray(drift * codec.normaliser.std + codec.normaliser.mean)
 
-        def player() -> CodecController:
+        def controller() -> CodecController:
             if program is None:
                 return CodecController(codec, FloatMachine(self.artifact, "none"))
             return CodecController(codec, Machine(program, 1, "none"))
 
         where = world_of(self.name, self.artifact)
-        return observations_of(player, where, codec.encoder.observed, count, walk, env)
+        return observations_of(controller, where, codec.encoder.observed, count, walk, env)
 
 
 def origin_of(file: Path) -> str:
