@@ -200,7 +200,7 @@ class _Network:
         for source, slots in self._plan.slots.items() if self._kept else ():
             for late in range(1, slots):
                 name = _late(source, late)
-                self._late[name] = self._graph.state(name, self._plan.sizes[source])
+                self._late[name] = self._graph.state(name, self._program.sizes[source])
 
     def run(self, spikes: list[Value], score: str) -> tuple[Value, States]:
         """Add all timesteps; return the score, and the states after the last that are kept."""
@@ -232,7 +232,7 @@ class _Network:
         for source, slots in self._plan.slots.items():
             for late in range(1, slots):
                 if (row := self._row(source, timesteps - late)) is not None:
-                    found[_late(source, late)] = (row, self._plan.sizes[source])
+                    found[_late(source, late)] = (row, self._program.sizes[source])
         return found
 
     def _add_layer(self, layer: Layer, lags: tuple[int, ...], t: int) -> Value:
@@ -265,7 +265,7 @@ class _Network:
     def _add_output(self, t: int) -> Value:
         """Add what the host receives in a timestep (B, act)."""
         total = self._bias
-        for term in self._plan.terms:
+        for term in self._program.output_terms:
             if (row := self._row(term.layer, t - term.lag)) is not None:
                 total = total + (row if term.weight is None else row @ self._shared(term.weight))
         return total

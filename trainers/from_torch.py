@@ -23,11 +23,11 @@ from torch.overrides import TorchFunctionMode
 from spikedeploy.runtime.artifact.artifact import Artifact
 from spikedeploy.runtime.convention import Convention
 from spikedeploy.runtime.errors import ConfigError
+from spikedeploy.runtime.graph.order import neighbours, reach
 from spikedeploy.runtime.graph.shapes import Shape
 from spikedeploy.trainers.torch_layers import leaves, node_of
 from spikedeploy.trainers.torch_network import (
     Delay,
-    Edge,
     Neurons,
     Node,
     TorchNetwork,
@@ -582,7 +582,8 @@ class _Tracer(TorchFunctionMode):
                 nodes[f"{name}.recurrent"] = recurrent
                 edges |= {(name, f"{name}.recurrent"), (f"{name}.recurrent", name)}
         for source, target in sorted(edge for edge, lag in found.items() if lag):
-            if not _leads(target, source, edges):  # in a loop NIR delivers a timestep late anyway
+            # in a loop NIR delivers a timestep late anyway
+            if source not in reach([target], neighbours(edges)):
                 puts = self._takes if source == _INPUT else nodes[source].puts
                 nodes[f"{source}.delay"] = Delay(np.ones(puts, np.int64))
                 edges.remove((source, target))
@@ -632,17 +633,6 @@ def _adds(
     nodes = [term for each in values for term in each.terms]
     # an edge of NIR counts once
     return not options and all(each == 0 for each in constants) and len({*nodes}) == len(nodes)
-
-
-def _leads(start: str, end: str, edges: set[Edge]) -> bool:
-    """Return True if edges lead from one node to another."""
-    seen, waiting = {start}, [start]
-    while waiting:
-        here = waiting.pop()
-        new = {target for source, target in edges if source == here} - seen
-        seen |= new
-        waiting += new
-    return end in seen
 
 
 def _tensors(found: object) -> list[Tensor]:

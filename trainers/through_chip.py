@@ -43,7 +43,7 @@ from spikedeploy.runtime.emulator.machine import Machine
 from spikedeploy.runtime.errors import ArtifactError, ConfigError, ObservationError, RuleError
 from spikedeploy.runtime.families.numba_frame import kept_on_disk
 from spikedeploy.runtime.graph.order import Timing, timing
-from spikedeploy.trainers.fitting import fit
+from spikedeploy.trainers.fitting import fit, straight_through
 from spikedeploy.trainers.from_torch import given_shape, network_from_torch
 from spikedeploy.trainers.surrogate_neurons import Surrogate, surrogate
 from spikedeploy.trainers.torch_network import (
@@ -186,7 +186,7 @@ class ChipModule(nn.Module):
         output, machine = self._run(spikes, trace=True)
         rows = self._propagate(spikes.to(output.dtype), machine)
         self.spikes = {name: rows[name] for name, _ in self._neurons}
-        return _exactly(output, rows[TorchNetwork.OUTPUT])
+        return straight_through(output, rows[TorchNetwork.OUTPUT])
 
     def layers(self, spikes: Tensor) -> dict[str, Tensor]:
         """Return the spikes (T, B, *shape) of each spiking layer on the chip, without gradients."""
@@ -570,12 +570,6 @@ def _fill_unknown(
                 if np.isnan(before[t, b, n]):
                     last = behind[t - 1, b, n] if t else states[1, b, n]
                     before[t, b, n] = arriving[t, b, n] + constants[3, n] + constants[1, n] * last
-
-
-def _exactly(value: Tensor, through: Tensor) -> Tensor:
-    """Return the value exactly, whose gradient is that of another tensor."""
-    # x - x is 0, so that no rounding is added
-    return value + (through - through.detach())
 
 
 def time_first(values: NDArray[Any], dtype: torch.dtype, scale: float | Array = 1.0) -> Tensor:

@@ -101,6 +101,11 @@ def linear_q15(score: Integers, fraction: int) -> Integers:
     return found
 
 
+def action_as_floats(action: Integers, chooses: bool) -> NDArray[np.float64]:
+    """Actions (..., act) of Q15 in [-1, 1]; an index, where one is chosen, stays one."""
+    return action.astype(np.float64) if chooses else action / 2.0**15
+
+
 _INT32 = 2**31 - 1
 _INT16 = 2**15
 _WEIGHT_BITS = 12  # of the largest weight of a readout
@@ -214,10 +219,6 @@ class Int16Codec:
             return np.array([score.argmax()])
         squash = tanh_q15 if self.squash == "tanh" else linear_q15
         return squash(score, self.fraction)
-
-    def floats(self, action: Integers) -> NDArray[np.float64]:
-        """Actions (..., act) in [-1, 1]; an index stays one."""
-        return action.astype(np.float64) if self.chooses else action / 2.0**15
 
 
 @dataclass

@@ -150,10 +150,6 @@ class Int8Mlp:
         squash = tanh_q15 if last.activation == "tanh" else linear_q15
         return squash(acc, last.fraction)
 
-    def floats(self, action: Integers) -> NDArray[np.float64]:
-        """Actions (..., act) in [-1, 1]; an index stays one."""
-        return action.astype(np.float64) if self.chooses else action / 2.0**15
-
 
 def quantise(policy: FloatMlp) -> Int8Mlp:
     """The network in 8-bit weights."""

@@ -215,12 +215,6 @@ class Plan:
         return {self.program.input: "in", **layers}
 
     @cached_property
-    def sizes(self) -> dict[str, int]:
-        """Channels of the input, neurons of each layer."""
-        layers = {layer.name: layer.size for layer in self.program.layers}
-        return {self.program.input: self.program.width, **layers}
-
-    @cached_property
     def times_max(self) -> dict[str, int]:
         """Spikes of a neuron in a timestep, of the input and each layer."""
         chip = self.program.chip
@@ -242,7 +236,7 @@ class Plan:
         for layer, lags in zip(self.program.layers, self.program.lags, strict=True):
             for synapses, lag in zip(layer.synapses, lags, strict=True):
                 latest[synapses.source] = max(latest[synapses.source], lag)
-        for term in filter(self.is_spiking, self.terms):
+        for term in filter(self.is_spiking, self.program.output_terms):
             latest[term.layer] = max(latest[term.layer], term.lag)
         return {name: lag + 1 for name, lag in latest.items()}
 
@@ -252,7 +246,7 @@ class Plan:
         return {
             source: SpikeMemory(
                 name,
-                self.events_max if source == self.program.input else self.sizes[source],
+                self.events_max if source == self.program.input else self.program.sizes[source],
                 self.times_max[source],
                 self.slots[source],
             )
@@ -299,11 +293,6 @@ class Plan:
         spikes = self.spikes.get(layer.name)
         return LayerPlan(name, layer, unit, bias // unit, inputs, spikes, states, held)
 
-    @property
-    def terms(self) -> tuple[OutputTerm, ...]:
-        """Terms of the output, one Output node after another."""
-        return self.program.output_terms
-
     @cached_property
     def bias(self) -> NDArray[np.float64]:
         """(scores,) bias of the output in every timestep."""
@@ -324,7 +313,7 @@ class Plan:
             raise ConfigError(
                 f"--to c: the output receives {term.layer!r}, which is no layer of the chip."
             )
-        size, silent = self.sizes[term.layer], not self.is_spiking(term)
+        size, silent = self.program.sizes[term.layer], not self.is_spiking(term)
         weight = np.eye(size) if term.weight is None else term.weight
         if silent:
             scale = np.broadcast_to(self.program.layer(term.layer).scale, (size,))
@@ -344,7 +333,7 @@ class Plan:
     @property
     def id_kind(self) -> str:
         """The C type of the number of a channel or neuron."""
-        return narrowest(0, max(self.sizes.values()) - 1)
+        return narrowest(0, max(self.program.sizes.values()) - 1)
 
     @property
     def largest(self) -> int:

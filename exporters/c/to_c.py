@@ -91,7 +91,7 @@ def policy_in_c(
     check_prefix(prefix)
     check_program(program)
     plan = Plan(program, codec)
-    each = codec.timesteps * sum(plan.sizes.values())
+    each = codec.timesteps * sum(program.sizes.values())
     tested = int(np.clip(_NUMBERS // each, 2, _INFERENCES))
     raster, scores = codec.encode_episode(observation), len(plan.bias)
     code = int16_codec(plan)

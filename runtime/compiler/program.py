@@ -162,13 +162,13 @@ class Program:
 
     def rows(self, timesteps: int) -> int:
         """Rows that each layer runs in an inference of T input rows."""
-        return timesteps + (self._fill if self.clock == "free" else 0)
+        return timesteps + (self.fill if self.clock == "free" else 0)
 
     def window(self, layer: Layer, rows: int) -> slice:
         """The layer's window among the rows that it runs: all of them, unless it runs free."""
         if self.clock != "free":
             return slice(0, rows)
-        return slice(layer.start, layer.start + rows - self._fill)
+        return slice(layer.start, layer.start + rows - self.fill)
 
     @cached_property
     def trailing(self) -> tuple[int, int]:
@@ -223,11 +223,6 @@ class Program:
         first, last = self.trailing
         # what is sent in the first row arrives soonest, what is sent in the last row latest
         return first // timesteps, (timesteps - 1 + last) // timesteps
-
-    @property
-    def fill(self) -> int:
-        """[timesteps] that an inference takes beyond its rows; 0 where the clock is pipelined."""
-        return 0 if self.clock == "pipelined" else self._fill
 
     def describe_clock(self) -> str:
         """Its clock and what that costs: `free, 2 chip timesteps more an inference`."""
@@ -325,11 +320,11 @@ class Program:
 
     def steps(self, rows: int) -> int:
         """Chip timesteps of one inference in which each layer runs so many rows."""
-        return rows + (self._fill if self.clock == "gated" else 0)
+        return rows + (self.fill if self.clock == "gated" else 0)
 
     @cached_property
-    def _fill(self) -> int:
-        """Timesteps until the last layer starts."""
+    def fill(self) -> int:
+        """[timesteps] that an inference takes beyond its rows: until the last layer starts."""
         return max(layer.start for layer in self.layers)
 
     @cached_property

@@ -11,7 +11,7 @@ those before any firing in both.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ from spikedeploy.runtime.families.xylo import XyloArithmetic
 from spikedeploy.runtime.traces.fields import Fields, Integers
 from spikedeploy.runtime.traces.programs import read_layer
 from spikedeploy.runtime.traces.verdict import STATE, Tables, TraceFile, layers_trace
+
+_Rules = TypeVar("_Rules", CubaFixedPoint, IntegrateAndFire)
 
 # names of tools -> ours
 _LOIHI = {
@@ -96,8 +98,8 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     for place, spec in enumerate(specs):
         source, fan_in = (layers[-1].name, layers[-1].size) if layers else ("input", len(counts.T))
         spec.refuse_axes("index", r"^\[pre\]")
-        weights, is_mixed = _loihi_weights(spec, _loihi_rules(on), fan_in)
-        rules.append(_with_options(spec, _loihi_rules(on), is_mixed))
+        weights, is_mixed = _loihi_weights(spec, _rules(on, CubaFixedPoint), fan_in)
+        rules.append(_with_options(spec, _rules(on, CubaFixedPoint), is_mixed))
         parts = _loihi_parts(spec, on, source, weights, counts.shape[1])
         stored = [Synapses(*each) for part in parts for each in _stored(spec, rules[-1], *part)]
         layers.append(read_layer(spec, f"layer{place}", stored, on))
@@ -115,8 +117,8 @@ def loihi_trace(fields: Fields, chip: str) -> TraceFile:
     return layers_trace(fields, specs, program, counts, _REPEATED, **more)
 
 
-def _loihi_rules(on: Chip) -> CubaFixedPoint:
-    if not isinstance(on.arithmetic, CubaFixedPoint):
+def _rules(on: Chip, kind: type[_Rules]) -> _Rules:
+    if not isinstance(on.arithmetic, kind):
         raise TypeError(type(on.arithmetic).__name__)
     return on.arithmetic
 
@@ -299,7 +301,7 @@ def spiker_trace(fields: Fields, chip: str) -> TraceFile:
     """The trace in the fields; weights are `[pre][post]`."""
     specs, on = [spec.spelled(_SPIKER) for spec in fields.layers()], datasheet(chip)
     counts = specs[0].table("input_spikes", least=0, most=255)
-    rules = _spiker_rules(on)
+    rules = _rules(on, IntegrateAndFire)
     widths = {"weight_bits": (rules.weight_bits, 16), "neuron_bits": (rules.membrane.bits, 32)}
     bits = {
         name: _shared(
@@ -330,15 +332,9 @@ def spiker_trace(fields: Fields, chip: str) -> TraceFile:
     return layers_trace(fields, specs, program, counts, {"input_spikes"}, replay=_replay_spiker)
 
 
-def _spiker_rules(on: Chip) -> IntegrateAndFire:
-    if not isinstance(on.arithmetic, IntegrateAndFire):
-        raise TypeError(type(on.arithmetic).__name__)
-    return on.arithmetic
-
-
 def _replay_spiker(program: Program, raster: NDArray[np.uint8]) -> Tables:
     """Tables in the timesteps of the RTL."""
-    rules, interpreter = _spiker_rules(program.chip), Interpreter(program, 1)
+    rules, interpreter = _rules(program.chip, IntegrateAndFire), Interpreter(program, 1)
     for layer in program.layers:
         # what is above a negative threshold at first was so before
         at_rest = fires(rules, layer.threshold, np.zeros(layer.size, np.int64))

@@ -11,6 +11,7 @@ import numpy as np
 from spikedeploy.console import say
 from spikedeploy.exporters.c.int8 import quantise as quantise_network
 from spikedeploy.exporters.c.int8 import read_onnx
+from spikedeploy.exporters.c.int16 import action_as_floats
 from spikedeploy.exporters.c.packaging import MAKEFILE, MARK, RECORD, file_names, write_texts
 from spikedeploy.exporters.c.refusals import check_prefix
 from spikedeploy.exporters.c.to_c import mlp_in_c, policy_in_c
@@ -126,7 +127,7 @@ def _export_float(
     seen, recorded = observations_of(lambda: controller, where, size, observations, walk, env)
     texts = mlp_in_c(network, seen[:_INT8_STEPS], f"{origin_of(file)}, in 8-bit weights", prefix)
     write(texts, folder, prefix)
-    found = network.floats(network.act(scales.quantise(seen)))
+    found = action_as_floats(network.act(scales.quantise(seen)), network.chooses)
     apart = np.abs(found - np.asarray(controller.replay(seen)).reshape(found.shape))
     largest = float((apart > 0).mean() if network.chooses else apart.max())
     facts = {"weights": network.weights, "largest_difference": largest, "recorded": recorded}
