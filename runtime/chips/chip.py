@@ -49,7 +49,6 @@ __all__ = ["CHIPS", "Chip", "chip"]
 MembraneOutput = Literal["none", "probe", "graded", "software"]
 Cost = Literal["words", "bits"]
 
-SPACE = ("Conv1d", "Conv2d", "Flatten", "SumPool2d", "AvgPool2d")
 # neurons without a threshold, whose membranes leave the chip
 READOUTS = ("LI", "CubaLI", "I")
 

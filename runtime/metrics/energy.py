@@ -66,12 +66,12 @@ def checked_table_names(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(energy_table(name).name for name in names))
 
 
-def _check_prices(table: EnergyTable, *events: str) -> None:
-    """Raise ConfigError where a table has no price of some of these events."""
-    if missing := [event for event in events if event not in table.joules]:
-        known = [name for name, each in TABLES.items() if {*events} <= each.joules.keys()]
+def _check_price(table: EnergyTable, event: str) -> None:
+    """Raise ConfigError where a table has no price of an event."""
+    if event not in table.joules:
+        known = [name for name, each in TABLES.items() if event in each.joules]
         raise ConfigError(
-            f"energy table {table.name!r} has no price for {missing[0]!r}. "
+            f"energy table {table.name!r} has no price for {event!r}. "
             f"Choose one of {', '.join(known)}."
         )
 
@@ -105,13 +105,13 @@ def mac_energy(macs: float, table: EnergyTable) -> float:
 
     Raises ConfigError where the table has no price for them.
     """
-    _check_prices(table, "mac")
+    _check_price(table, "mac")
     return macs * table.joules["mac"]
 
 
 def mac_energy_estimate(macs: float, table: EnergyTable) -> EnergyEstimate:
     """Return `mac_energy` [J] with its interval."""
-    _check_prices(table, "mac")
+    _check_price(table, "mac")
     return _estimate({"mac": macs}, table)
 
 
@@ -177,7 +177,6 @@ _EVENTS = {
     "spikes": ("spike_out",),
 }
 ON_CHIP = tuple(_EVENTS)
-TERMS = (*ON_CHIP, "encoder", "readout", "resets", "activations")
 
 
 def priced_terms(counts: Mapping[str, float], table: EnergyTable) -> dict[str, float]:
@@ -268,31 +267,9 @@ def reset_energy(states: float, table: EnergyTable) -> float | None:
 
 
 # break-even with a float network. Both by the same table, which has prices for synaptic operations
-# and multiply-accumulates. Yan et al. (arXiv 2409.08290, version 4) have a model of their own, with
-# data movement, and find 5.7 % at T = 5 under what they call typical neuromorphic hardware
-# conditions, against a network of 3 bits
+# and multiply-accumulates
 
 BREAK_EVEN_TABLES = tuple(n for n, t in TABLES.items() if {"sop", "mac"} <= t.joules.keys())
-
-
-def break_even_rate(
-    table: EnergyTable, timesteps: int, fan_in: float | None = None, activity: float = 1.0
-) -> float:
-    """Spikes per presynaptic neuron and timestep below which spiking costs less.
-
-    Of two networks of one shape; a rate of 0 or less is never reached, one above 1 always.
-
-    timesteps: of the spiking network, T.
-    fan_in: synapses of a neuron, each of which shares its updates; None leaves updates out.
-    activity: share of the float network's inputs that are not 0, if it skips those; 1 is dense.
-
-    Raises ConfigError where the table lacks a price.
-    """
-    _check_prices(table, "sop", "mac")
-    prices = table.joules
-    update = 0.0 if fan_in is None else prices["neuron_update"] / fan_in
-    # per synapse and inference: T (rate sop + update / fan_in) = activity mac
-    return (activity * prices["mac"] / timesteps - update) / prices["sop"]
 
 
 def break_even_sops(
