@@ -147,7 +147,7 @@ def _training(run: Path, checkpoint: str | None = None) -> dict[str, Any]:
     return {
         "recipe": settings["recipe"],
         "seed": settings["seed"],
-        "checkpoint": run_record.deployed_checkpoint(run, checkpoint),
+        "checkpoint": RunFolder(run).deployed(checkpoint),
         "steps": steps,
         "steps_unit": unit,
         "overrides": [each for each in changes if not each.startswith(derived)],

@@ -106,6 +106,17 @@ class RunFolder:
         """Return the path of a checkpoint, whether or not it exists."""
         return self.path / "checkpoints" / f"{name}.safetensors"
 
+    def deployed(self, name: str | None = None) -> str:
+        """Return the name of the deployed checkpoint: the one asked for, else best, else last."""
+        names = sorted(path.stem for path in self.path.glob("checkpoints/*.safetensors"))
+        if name is None:
+            return "best" if "best" in names else "last"
+        if name not in names:
+            raise ConfigError(
+                f"{self.path} has no checkpoint {name!r}; it has: {', '.join(names) or 'none yet'}"
+            )
+        return name
+
     @property
     def begun(self) -> bool:
         """True from the first checkpoint "last" on, also where it was lost."""
@@ -161,20 +172,13 @@ class RunFolder:
             path.unlink(missing_ok=True)
 
     def policy(self, name: str | None = None) -> "Policy":
-        """Return the policy of a checkpoint, by default the best, else the last, ready to act."""
+        """Return the policy of a checkpoint, by default the deployed one, ready to act."""
         from spikedeploy.trainers.policies import build
 
-        if name is None:
-            name = "best" if self.checkpoint("best").is_file() else "last"
-        state, tensors = self.load(name)
+        state, tensors = self.load(self.deployed() if name is None else name)
         policy = build(state["policy"])
         policy.load_state_dict(with_prefix("policy", tensors))
         return policy.eval().requires_grad_(False)
-
-
-def load_policy(run: str | Path, name: str | None = None, runs: str | Path = "runs") -> "Policy":
-    """Return a run's policy: of the named checkpoint, else of the best, else of the last."""
-    return RunFolder.find(run, runs).policy(name)
 
 
 def _new_folder(path: Path) -> Path:

@@ -15,6 +15,7 @@ from spikedeploy.policies.registry import FLOAT, Candidate, Controller, Env, Flo
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import read_json
 from spikedeploy.runtime.metadata import Provenance
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.versions import own
 
 if TYPE_CHECKING:
@@ -43,21 +44,9 @@ def versions(run: Path) -> dict[str, str | None]:
     return _read(run / "versions.json")
 
 
-def deployed_checkpoint(run: Path, checkpoint: str | None = None) -> str:
-    """Name of the deployed checkpoint: the one asked for, else the best, else the last."""
-    names = sorted(path.stem for path in (run / "checkpoints").glob("*.safetensors"))
-    if checkpoint is None:
-        return "best" if "best" in names else "last"
-    if checkpoint not in names:
-        raise ConfigError(
-            f"{run} has no checkpoint {checkpoint!r}; it has: {', '.join(names) or 'none yet'}"
-        )
-    return checkpoint
-
-
 def steps(run: Path, checkpoint: str | None = None) -> tuple[int, str]:
     """Length of the training of a checkpoint, and its unit: see Provenance."""
-    path = run / "checkpoints" / f"{deployed_checkpoint(run, checkpoint)}.json"
+    path = run / "checkpoints" / f"{RunFolder(run).deployed(checkpoint)}.json"
     record = _read(path)
     unit = "environment steps" if "env_steps" in record else "updates"
     with checked_record(path):
@@ -83,7 +72,7 @@ def describe_progress(run: Path) -> str:
 
 def origin(run: Path, checkpoint: str | None = None) -> Provenance:
     """The provenance of the policy of a checkpoint, for an exported file."""
-    config, name = settings(run), deployed_checkpoint(run, checkpoint)
+    config, name = settings(run), RunFolder(run).deployed(checkpoint)
     with checked_record(run / "config.json"):
         recipe, seed = str(config["recipe"]), int(config["seed"])
         chip = config["policy"].get("chip", "")
@@ -94,7 +83,7 @@ def origin(run: Path, checkpoint: str | None = None) -> Provenance:
         steps=steps(run, name)[0],
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         version=own(),
-        checkpoint="" if name == deployed_checkpoint(run) else name,
+        checkpoint="" if name == RunFolder(run).deployed() else name,
         chip=str(chip),
     )
 
@@ -205,10 +194,8 @@ class TorchController(Controller):
 
 def policy_of(run: str | Path, checkpoint: str | None = None) -> "Policy":
     """The policy of a run; ConfigError where a checkpoint does not hold what it says."""
-    from spikedeploy.trainers.run_folder import load_policy
-
     try:
-        policy = load_policy(run, checkpoint)
+        policy = RunFolder.find(run).policy(checkpoint)
         float(getattr(policy.normalizer, "clip", 0.0))  # which nothing else looks at before it acts
         return policy
     # of torch, and of whatever else a value stands that is none

@@ -19,7 +19,7 @@ from spikedeploy.reports.table import ABSENT, HeadlineNumber, Table
 from spikedeploy.runtime.errors import ConfigError, SpikedeployError
 from spikedeploy.runtime.files import is_locked, write_text
 from spikedeploy.trainers.metrics_file import read_metrics, spike_rate
-from spikedeploy.trainers.run_folder import is_run, runs_in
+from spikedeploy.trainers.run_folder import RunFolder, is_run, runs_in
 
 PAGE = "report.html"
 ALT = "Return, success, spike rate and operations over the training"
@@ -122,7 +122,7 @@ def metrics_of(run: Path) -> list[dict[str, float]]:
 
 def _best_validation(run: Path, rows: Sequence[Mapping[str, float]]) -> Mapping[str, Any]:
     """The validation of the checkpoint that is deployed; without one the best of the metrics."""
-    record = run_record.checkpoint_record(run, run_record.deployed_checkpoint(run))
+    record = run_record.checkpoint_record(run, RunFolder(run).deployed())
     if record.get("eval_return") is not None:
         return record
     validated = [row for row in rows if "eval_return" in row]

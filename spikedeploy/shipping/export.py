@@ -15,6 +15,7 @@ from spikedeploy.exporters.check import ExportResult
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.files import suffix
 from spikedeploy.trainers.config import require_known
+from spikedeploy.trainers.run_folder import RunFolder
 
 EXPORTERS = {
     "nir": "export_file:export_nir",
@@ -63,6 +64,5 @@ def _format(policy: str, path: Path | None, options: Mapping[str, Any]) -> str:
         return ending
     from spikedeploy.policies.run_record import format_of
     from spikedeploy.shipping.sources import is_nir_file
-    from spikedeploy.trainers.run_folder import RunFolder
 
     return "nir" if is_nir_file(policy) else format_of(RunFolder.find(policy).path)

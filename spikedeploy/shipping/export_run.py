@@ -55,7 +55,7 @@ def export_run(
     folder = RunFolder.find(run).path
     if state == "kept" and to != "nir":
         raise ConfigError(f"only a .nir file has membranes to keep: leave --state out for {to}")
-    policy = policy_of(folder, run_record.deployed_checkpoint(folder, checkpoint))
+    policy = policy_of(folder, RunFolder(folder).deployed(checkpoint))
     origin, kind = run_record.origin(folder, checkpoint), kind_of(policy, control)
     # where no path is given, it is our own file in the run folder
     force |= path is None

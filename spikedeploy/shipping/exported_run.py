@@ -8,9 +8,7 @@ from spikedeploy.outputs import no_link
 from spikedeploy.policies import run_record
 from spikedeploy.policies.registry import BUILT_IN
 from spikedeploy.runtime.errors import ConfigError
-from spikedeploy.trainers.run_folder import find_run
-
-# What reads run folders needs torch, and is imported where one is named: files are run without.
+from spikedeploy.trainers.run_folder import RunFolder, find_run
 
 
 def runnable(reference: str) -> str:
@@ -20,12 +18,10 @@ def runnable(reference: str) -> str:
     """
     if reference in BUILT_IN or not _is_run(reference):
         return reference
-    from spikedeploy.trainers.run_folder import RunFolder
-
     folder = RunFolder.find(reference)
     run = folder.path
     to = run_record.format_of(run)
-    name = run_record.deployed_checkpoint(run)
+    name = folder.deployed()
     checkpoint = folder.checkpoint(name)
     if folder.begun and not checkpoint.is_file():
         folder.load(name)  # which says what is missing
@@ -51,8 +47,6 @@ def trained_in(reference: str) -> str | None:
     """Name of the environment that a run folder was trained in; None for any other reference."""
     if reference in BUILT_IN or not _is_run(reference):
         return None
-    from spikedeploy.trainers.run_folder import RunFolder
-
     return str(run_record.settings(RunFolder.find(reference).path)["env"]["name"])
 
 

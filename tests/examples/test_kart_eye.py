@@ -15,7 +15,7 @@ from spikedeploy.policies.costs import NOTHING
 from spikedeploy.policies.registry import find, open_policy
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.runtime.metadata import Provenance
-from spikedeploy.trainers.run_folder import load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import train
 from tests.paths import ROOT
 
@@ -195,7 +195,7 @@ def test_a_convolutional_network_imitates_the_expert_in_the_integers_of_loihi(tm
     config = str(POLICIES.parent / "snn.toml")
     changes = {"config_file": config, "overrides": settings + validation}
     run = train("distill-network", env=ENV, runs=tmp_path, quiet=True, **changes)
-    policy = load_policy(run)
+    policy = RunFolder(run).policy()
     path = to_nir(policy, Provenance(ENV, "distill-network"), tmp_path / "snn.nir")
     seen = np.random.default_rng(0).poisson(0.4, (6, 1024)).astype(float)
     assert all(check.passed for check in parity(policy, path, seen))

@@ -18,7 +18,7 @@ from spikedeploy.trainers.ppo import (
     advantages,
     minibatches,
 )
-from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
 from tests.toy_quadrant_env import QuadrantEnv
@@ -51,7 +51,7 @@ def test_it_learns_within_seconds_with_every_head_and_code(recipe, settings, tmp
     first, *_, last = (row["episode_return"] for row in read_metrics(run / "metrics.csv"))
     # of 10: random choices earn 2.5, random pointing about -1.3
     assert last > first + 1.5
-    policy = load_policy(run)
+    policy = RunFolder(run).policy()
     seen = torch.rand(200, 2) * 1.6 - 0.8
     if world is QuadrantEnv:
         right = (seen[:, 0] > 0).long() + 2 * (seen[:, 1] > 0).long()

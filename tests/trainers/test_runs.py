@@ -23,7 +23,7 @@ from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.metrics_file import Journal, read_metrics
 from spikedeploy.trainers.policies import MlpPolicy
 from spikedeploy.trainers.progress import ProgressBar
-from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sac import SacConfig
 from spikedeploy.trainers.train import train
 from tests.toy_pointing_env import PointingEnv
@@ -104,15 +104,15 @@ def test_a_training_that_cannot_be_meant_is_refused(recipe, named, message, tmp_
         train(recipe, runs=tmp_path, quiet=True, **named)
 
 
-def test_load_policy_takes_best_and_else_last(tmp_path):
+def test_the_policy_of_a_run_is_of_best_and_else_last(tmp_path):
     run = RunFolder.create(tmp_path, resolve(SacConfig, "smoke"))
     last_policy, best_policy = MlpPolicy(2, 1, (3,)), MlpPolicy(2, 1, (3,))
     observation = torch.randn(4, 2)
     run.save("last", last_policy, {})
-    assert torch.equal(load_policy(run.path)(observation), last_policy(observation))
+    assert torch.equal(run.policy()(observation), last_policy(observation))
     run.save("best", best_policy, {})
-    assert torch.equal(load_policy(run.path)(observation), best_policy(observation))
-    assert torch.equal(load_policy(run.path, "last")(observation), last_policy(observation))
+    assert torch.equal(run.policy()(observation), best_policy(observation))
+    assert torch.equal(run.policy("last")(observation), last_policy(observation))
 
 
 def test_the_last_run_is_the_newest_with_a_checkpoint(tmp_path):
@@ -338,8 +338,8 @@ def test_a_flipped_bit_of_a_checkpoint_is_found(name, part, run):
     flip(RunFolder(run).checkpoint(name), part)
     other = {"last": "best", "best": "last"}[name]
     with pytest.raises(ConfigError, match=rf"{name}\.safetensors is not .*Put the file back"):
-        load_policy(run, name)
-    load_policy(run, other)
+        RunFolder(run).policy(name)
+    RunFolder(run).policy(other)
 
 
 def test_a_run_without_its_weights_is_neither_trained_from_the_beginning_nor_changed(run):
@@ -350,7 +350,7 @@ def test_a_run_without_its_weights_is_neither_trained_from_the_beginning_nor_cha
     with pytest.raises(ConfigError, match=r"last\.safetensors is missing"):
         train(None, resume=run, overrides=["steps=303"], quiet=True)
     with pytest.raises(ConfigError, match=r"best\.safetensors is missing.*train again"):
-        load_policy(run, "best")
+        RunFolder(run).policy("best")
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 
@@ -391,7 +391,7 @@ def test_a_run_that_is_trained_can_be_read_and_not_resumed(run):
     with RunFolder(run).locked():
         with pytest.raises(ConfigError, match=rf"is being trained .*process {os.getpid()} on"):
             resumed(run)
-        load_policy(run)
+        RunFolder(run).policy()
 
 
 full = OSError(errno.ENOSPC, "No space left on device")

@@ -8,7 +8,7 @@ from spikedeploy.trainers.config import EnvConfig, differences, resolve
 from spikedeploy.trainers.env_batch import EnvBatch
 from spikedeploy.trainers.metrics_file import read_metrics
 from spikedeploy.trainers.policies import MlpPolicy
-from spikedeploy.trainers.run_folder import load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.runner import Validator
 from spikedeploy.trainers.sac import (
     GaussianActor,
@@ -39,7 +39,7 @@ def test_it_learns_to_point_in_a_few_hundred_updates(recipe, tmp_path, pointing)
     assert len(returns) == 2
     # random actions earn -2, perfect ones 10
     assert max(returns) > 5.0
-    policy = load_policy(run)
+    policy = RunFolder(run).policy()
     goals = torch.rand(200, 2) * 1.6 - 0.8
     assert (policy(goals) - goals).abs().mean() < 0.2
 

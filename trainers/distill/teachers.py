@@ -22,7 +22,7 @@ from spikedeploy.trainers.distill.sb3 import REMEDY, sb3_teacher
 from spikedeploy.trainers.distill.teacher import FloatArray, OwnSpaces, Teacher, Units
 from spikedeploy.trainers.onnx_session import has_policy_metadata, operators, session
 from spikedeploy.trainers.policies import DeltaSnnPolicy, Policy
-from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 
 
 def own_function(name: str, spaces: OwnSpaces, units: Units) -> Teacher:
@@ -283,12 +283,13 @@ def score(teacher: Teacher, env: EnvConfig, config: ValidationConfig) -> float:
 
 def _from_run(path: str) -> Teacher:
     try:
-        settings = RunFolder.find(path).settings()
+        run = RunFolder.find(path)
+        settings = run.settings()
     except ConfigError as error:
         near = get_close_matches(path, _zoo(), n=2)
         hint = f"; did you mean the shipped policy {' or '.join(near)}?" if near else ""
         raise ConfigError(f"{error}{hint}") from error
-    policy = load_policy(path)
+    policy = run.policy()
     if isinstance(policy, DeltaSnnPolicy):
         raise _remembers(path)
     return policy_teacher(policy, str(settings["env"]["name"]))

@@ -32,7 +32,7 @@ from spikedeploy.trainers.policies import (
     PopsanPolicy,
     SpikingMlpPolicy,
 )
-from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.train import train
 from tests.delta_policies import delta_policy
 from tests.networks import event_driven
@@ -135,7 +135,7 @@ def test_a_run_leaves_its_files_and_reports_its_share_of_the_teachers_return(onn
     best = max(row["eval_return"] for row in rows if "eval_return" in row)
     assert state["best"] == pytest.approx(best)
     assert {"sparsity_lif1", "sparsity_lif2", "sparsity_lif3"} <= rows[-1].keys()
-    policy = load_policy(run)
+    policy = RunFolder(run).policy()
     assert isinstance(policy, PopsanPolicy)
     assert float(policy.normalizer.std.min()) > 0
     assert not torch.equal(policy.normalizer.mean, torch.zeros(77))

@@ -11,7 +11,7 @@ from spikedeploy.trainers.config import resolve
 from spikedeploy.trainers.distill.teachers import Teacher
 from spikedeploy.trainers.metrics_file import read_metrics
 from spikedeploy.trainers.ppo import minibatches
-from spikedeploy.trainers.run_folder import RunFolder, load_policy
+from spikedeploy.trainers.run_folder import RunFolder
 from spikedeploy.trainers.sparse.rounding import rounding_offsets
 from spikedeploy.trainers.sparse.settings import SparseConfig
 from spikedeploy.trainers.sparse.sparse_ppo import (
@@ -84,11 +84,11 @@ def test_it_can_start_at_an_earlier_level_of_pruning(start, tmp_path):
     config = RunFolder(run).config(SparsePpoConfig)
     found, source, policy = starting_point(config, tmp_path)
     assert (found.path, source.budget) == (start, 500)
-    earlier, best = load_policy(start, "ops-500"), load_policy(start)
+    earlier, best = RunFolder(start).policy("ops-500"), RunFolder(start).policy()
     for name, mask in earlier.state_dict().items():
         if name.endswith("mask"):
             assert torch.equal(policy.state_dict()[name], mask)
-            assert torch.equal(load_policy(run, "last").state_dict()[name], mask)
+            assert torch.equal(RunFolder(run).policy("last").state_dict()[name], mask)
     synapses = [sum(int(m.sum()) for n, m in each.state_dict().items() if n.endswith("mask"))
                 for each in (earlier, best)]  # fmt: skip
     assert synapses[0] > synapses[1]
@@ -97,7 +97,7 @@ def test_it_can_start_at_an_earlier_level_of_pruning(start, tmp_path):
 def test_the_float_baseline_learns_in_the_same_way(tmp_path):
     baseline = train("smoke-sparse-mlp", overrides=SHORT, runs=tmp_path, quiet=True)
     run = train("smoke-sparse-tuned", overrides=[f"start={baseline}"], runs=tmp_path, quiet=True)
-    policy, old = load_policy(run, "last"), load_policy(baseline)
+    policy, old = RunFolder(run).policy("last"), RunFolder(baseline).policy()
     assert RunFolder(run).settings()["policy"]["kind"] == policy.kind == "pruned-mlp"
     for one, other in zip(policy.matrices, old.matrices, strict=True):
         assert torch.equal(one.mask, other.mask)
@@ -109,7 +109,7 @@ def test_the_float_baseline_learns_in_the_same_way(tmp_path):
 def test_hidden_neurons_can_be_left_as_they_are(start, tmp_path):
     overrides = [f"start={start}", "learns=readout"]
     run = train("smoke-sparse-tuned", overrides=overrides, runs=tmp_path, quiet=True)
-    policies = load_policy(start), load_policy(run, "last")
+    policies = RunFolder(start).policy(), RunFolder(run).policy("last")
     before, after = (dict(policy.named_parameters()) for policy in policies)
     changed = {name for name in before if not torch.equal(before[name], after[name])}
     assert changed == {"out.weight", "past.weight", "action_bias", "_gamma"}
