@@ -121,19 +121,19 @@ def _thick_line(surface: pygame.Surface, colour: Any, a: Floats, b: Floats, widt
         pygame.draw.circle(surface, colour, tuple(end), width / 2)
 
 
-_scenes: dict[tuple[bytes, ...], TrackPicture] = {}
-_MOST_SCENES = 16
+_pictures: dict[tuple[bytes, ...], TrackPicture] = {}
+_MOST_PICTURES = 16
 
 
-def scene(track: Track, size: tuple[int, int]) -> TrackPicture:
-    """The scene of a track, cached by what the track looks like."""
+def picture_of(track: Track, size: tuple[int, int]) -> TrackPicture:
+    """The picture of a track, cached by what the track looks like."""
     looks = (track.walls, track.gates, track.start, np.array(size))
     key = tuple(part.tobytes() for part in looks)
-    if key not in _scenes:
-        if len(_scenes) >= _MOST_SCENES:
-            del _scenes[next(iter(_scenes))]
-        _scenes[key] = TrackPicture(track, size)
-    return _scenes[key]
+    if key not in _pictures:
+        if len(_pictures) >= _MOST_PICTURES:
+            del _pictures[next(iter(_pictures))]
+        _pictures[key] = TrackPicture(track, size)
+    return _pictures[key]
 
 
 _SIZE = (720, 720)  # of a picture [screen px]
@@ -151,7 +151,7 @@ _KART_FINE = 8  # factor at which a kart is drawn, before it is rotated and down
 
 def picture(env: Any) -> NDArray[np.uint8]:  # noqa: ANN401
     """Image (H, W, 3) of a kart environment: the track, gates, the LIDAR's rays and the kart."""
-    place = scene(env.track, _SIZE)
+    place = picture_of(env.track, _SIZE)
     surface = place.ground.copy()
     _draw_gates(surface, place, env.next_gate)
     _draw_scan(surface, place, env.pose, _ray_angles(env), env.scan, env.lidar.range)
