@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from spikedeploy.commands.options import Checkpoint, ChipName, EnvName, Force, Json, Output
+from spikedeploy.commands.options import Checkpoint, ChipName, EnvName, Force, Json, OutputPath
 from spikedeploy.console import print_json, say
 from spikedeploy.evaluation_setup import Count, changed
 from spikedeploy.runtime.choices import Clock, Granularity, Reset, State
@@ -71,7 +71,7 @@ def export(
     *,
     run: Annotated[str, typer.Argument(metavar="RUN")],
     to: str | None = None,
-    output: Output | None = None,
+    output: OutputPath | None = None,
     options: FormatOptions,
     force: Force = False,
     json: Json = False,

@@ -37,7 +37,7 @@ Tables = Annotated[
         rich_help_panel="Output",
     ),
 ]
-Output = Annotated[Path, typer.Option("-o", "--output", rich_help_panel="Output")]
+OutputPath = Annotated[Path, typer.Option("-o", "--output", rich_help_panel="Output")]
 ReportFolder = Annotated[
     Path,
     typer.Option(

@@ -15,7 +15,7 @@ from spikedeploy.commands.options import (
     File,
     Force,
     Json,
-    Output,
+    OutputPath,
     OwnNetwork,
     Resume,
     RunsFolder,
@@ -169,7 +169,7 @@ def _show_run(run: Path) -> None:
 def visualize(
     *,
     runs: Annotated[list[str], typer.Argument(metavar="RUN…")],
-    output: Output = Path("reports/curves.png"),
+    output: OutputPath = Path("reports/curves.png"),
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -387,7 +387,7 @@ def sweep(
     workers: Workers | None = None,
     retry: bool = False,
     run: bool = True,
-    output: Output | None = None,
+    output: OutputPath | None = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
