@@ -13,7 +13,7 @@ the number of the update alone, so that it ends with the same bits as one that w
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -177,13 +177,6 @@ def adapt(
 
     Raises KeyboardInterrupt where it is stopped before its first validation.
     """
-    if interrupt is None:
-        with Interrupt() as interrupt:
-            return adapt(
-                network, chip_name, raster, labels, input_shape=input_shape, limits=limits,
-                settings=settings, checkpoint=checkpoint, resume=resume, interrupt=interrupt,
-                quiet=quiet,
-            )  # fmt: skip
     # of the untouched numbers, as those of a module will be others soon
     twin = network if isinstance(network, Artifact) else artifact_from_torch(network, input_shape)
     module = on_chip(network, chip_name, input_shape, limits=limits)
@@ -205,25 +198,27 @@ def adapt(
         "labels": None if labels is None else _sha256(np.asarray(labels)),
         **{name: getattr(settings, name) for name in ("batch", "rate", "held_out", "seed")},
     }
-    with ProgressBar(f"adapting to {chip_name}", quiet) as interrupt.bar:
-        training = _Training(module, twin, samples, classes, settings, interrupt)
+    stop = interrupt or Interrupt()
+    listening = nullcontext() if interrupt else stop
+    with listening, ProgressBar(f"adapting to {chip_name}", quiet) as stop.bar:
+        training = _Training(module, twin, samples, classes, settings, stop)
         if resume and checkpoint is not None:
             training.restore(checkpoint, origin)
         else:
             training.begin()
-        interrupt.bar.say(training.describe(chip_name))
-        finished = training.learn(interrupt.bar, checkpoint, origin)
+        stop.bar.say(training.describe(chip_name))
+        finished = training.learn(stop.bar, checkpoint, origin)
     module.network.load_state_dict(training.policy.state_dict())
     return Adaptation(
-        _artifact(module, twin, chip_name),
-        chip_name,
-        len(training.trained),
-        len(training.held_out),
-        training.update,
-        training.score(training.targets[training.held_out], training.held_out),
-        training.before,
-        training.best,
-        finished,
+        artifact=_artifact(module, twin, chip_name),
+        chip=chip_name,
+        trained=len(training.trained),
+        held_out=len(training.held_out),
+        updates=training.update,
+        float_twin=training.score(training.targets[training.held_out], training.held_out),
+        before=training.before,
+        after=training.best,
+        finished=finished,
     )
 
 
@@ -305,16 +300,16 @@ class _Training(Learner):
             if self.update % every and self.update < total:
                 continue
             try:
-                score = self.validate()
+                latest = self.validate()
             except _NO_NUMBERS:
                 self._go_back()
-                score = self.validate()
-            self._validated(score)
+                latest = self.validate()
+            self._validated(latest)
             self.save(checkpoint, origin)
             name = "error" if self.classes is None else "accuracy"
             row = {"train_loss": float(np.nanmean(losses)), **{
                 f"{which}_{name}": getattr(score, name)
-                for which, score in (("eval", self.latest), ("best", self.best))
+                for which, score in (("eval", latest), ("best", self.best))
             }}  # fmt: skip
             bar.show(row)
             losses.clear()
@@ -351,7 +346,6 @@ class _Training(Learner):
         self.halvings += 1
 
     def _validated(self, score: AdaptationScore) -> None:
-        self.latest = score
         self.since = 0 if self._keep_if_better(score) else self.since + 1
         if self.since and self.since % max(self.settings.patience // 2, 1) == 0:
             self.halvings += 1
@@ -412,30 +406,48 @@ class _Training(Learner):
         # layers that share a matrix have one name; what the user froze stays
         named = {n: p for n, p in self.module.network.named_parameters() if p.requires_grad}
         layers = [
-            [f"listed.{k}.layer.weight", f"listed.{k}.layer.bias"]
+            {
+                n: named[n]
+                for n in (f"listed.{k}.layer.weight", f"listed.{k}.layer.bias")
+                if n in named
+            }
             for k, node in enumerate(self.module.network.listed)
             if isinstance(node, Weights) and f"listed.{k}.layer.weight" in named
         ]
+        initial = {name: p.detach().clone() for layer in layers for name, p in layer.items()}
         least = self._loss_of(rows)
-        first = {
-            name: named[name].detach().clone() for each in layers for name in each if name in named
-        }
-        for weight, bias in [*layers, *layers] if len(layers) > 1 else layers:
-            largest = float(first[weight].abs().max())
-            parts = [[weight], [weight, bias]] if bias in first else [[weight]]
-            best, kept = None, {n: named[n].detach().clone() for n in parts[-1]}
-            for part in parts:
-                for clip in _CLIPS:
-                    _fill(named, first, {name: clip * largest for name in part}, parts[-1])
-                    if (found := self._loss_of(rows)) < _CLIP_GAIN * least:
-                        least, best = found, {name: clip * largest for name in part}
-            if best is None:
-                _fill(named, kept, {}, parts[-1])
-            else:
-                _fill(named, first, best, parts[-1])
-                self.bounds = {n: b for n, b in self.bounds.items() if n not in parts[-1]} | best
-        for weight, _ in layers:
-            self.bounds.setdefault(weight, _GROWTH * float(first[weight].abs().max()))
+        for layer in [*layers, *layers] if len(layers) > 1 else layers:
+            least, bounds = self._clip_layer(layer, initial, rows, least)
+            if bounds:
+                self.bounds = {n: b for n, b in self.bounds.items() if n not in layer} | bounds
+        for weight, *_ in layers:
+            self.bounds.setdefault(weight, _GROWTH * float(initial[weight].abs().max()))
+
+    def _clip_layer(
+        self,
+        layer: Mapping[str, Tensor],
+        initial: Mapping[str, Tensor],
+        rows: NDArray[np.int64],
+        least: float,
+    ) -> tuple[float, dict[str, float]]:
+        """Clip the initial weights of a layer, or its biases too, where that lessens the loss most.
+
+        layer: its weight, and its bias if it has one, by name
+        least: loss of its present numbers, which stay where no clip lessens it enough
+
+        Returns the loss, and the bounds of what was clipped.
+        """
+        present = {name: each.detach().clone() for name, each in layer.items()}
+        weight, best = next(iter(layer)), dict[str, float]()
+        largest = float(initial[weight].abs().max())
+        for clipped in dict.fromkeys([(weight,), tuple(layer)]):
+            for clip in _CLIPS:
+                bounds = dict.fromkeys(clipped, clip * largest)
+                _fill(layer, initial, bounds)
+                if (found := self._loss_of(rows)) < _CLIP_GAIN * least:
+                    least, best = found, bounds
+        _fill(layer, initial if best else present, best)
+        return least, best
 
     def _loss_of(self, rows: NDArray[np.int64]) -> float:
         try:
@@ -499,16 +511,13 @@ def shown(score: AdaptationScore) -> str:
 
 
 def _fill(
-    named: Mapping[str, Tensor],
-    values: Mapping[str, Tensor],
-    bounds: Mapping[str, float],
-    names: Sequence[str],
+    parameters: Mapping[str, Tensor], values: Mapping[str, Tensor], bounds: Mapping[str, float]
 ) -> None:
     """Set parameters to values, within bounds where there are some."""
     with torch.no_grad():
-        for name in names:
+        for name, parameter in parameters.items():
             bound = bounds.get(name, math.inf)
-            named[name].copy_(values[name].clamp(-bound, bound))
+            parameter.copy_(values[name].clamp(-bound, bound))
 
 
 def _samples(raster: NDArray[Any], takes: Shape) -> NDArray[np.uint8]:
