@@ -43,8 +43,8 @@ class Section(BaseModel):
 class Ramp(Section):
     """A value that changes linearly from `start` to `end` between two environment steps."""
 
-    start: float
-    end: float
+    start: float = Field(ge=0)
+    end: float = Field(ge=0)
     begin: Count = 0
     finish: Count
 
@@ -236,7 +236,7 @@ class RunConfig(Section):
 
     algorithm: str
     recipe: str
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, lt=5_000)
     env: EnvConfig = EnvConfig()
     policy: PolicyConfig = MlpConfig()
     normaliser: NormaliserConfig = NormaliserConfig()
@@ -286,6 +286,11 @@ def amend(base: C, *, file: str | Path | None = None, overrides: Iterable[str] =
         settings = _overlaid(settings, tables, str(file))
     for text in overrides:
         settings = _overlaid(settings, parse_override(text), f"--set {text}")
+    for name in ("algorithm", "recipe"):
+        if settings[name] != getattr(base, name):
+            raise ConfigError(
+                f"{name}: it is that of the recipe {base.recipe}. Name another recipe"
+            )
     return validate(type(base), settings, f"recipe {base.recipe}")
 
 

@@ -37,6 +37,11 @@ if TYPE_CHECKING:  # reports look at runs where torch and pydantic are not insta
 LEVEL = "ops-"  # and operations: names of the best checkpoints of the levels of pruning
 
 
+# what a kill leaves of a checkpoint: of `replacing`, and of safetensors, which writes to a file of
+# its own at first
+_UNFINISHED = re.compile(r"\..+\.(json|safetensors)\.(\w+-)?\d+\.part|\.tmp\w{6}")
+
+
 class RunFolder:
     """One run on disk.
 
@@ -119,9 +124,8 @@ class RunFolder:
 
     @property
     def begun(self) -> bool:
-        """True from the first checkpoint "last" on, also where it was lost."""
-        last = self.checkpoint("last")
-        return last.is_file() or last.with_suffix(".json").is_file()
+        """True from the first checkpoint on, also where "last" was lost."""
+        return any(self.path.glob("checkpoints/[!.]*"))
 
     def save(
         self,
@@ -155,7 +159,7 @@ class RunFolder:
         """Return state and tensors of a checkpoint."""
         path = self.checkpoint(name)
         remedy = "Put the file back, or train again; the other checkpoints are files of their own."
-        if path.with_suffix(".json").is_file() and not path.is_file():
+        if not path.is_file() and (path.with_suffix(".json").is_file() or name == "last"):
             raise ConfigError(f"{path} is missing. {remedy}")
         if not path.is_file():
             raise ConfigError(f"{self.path} has no checkpoint '{name}' yet")
@@ -169,7 +173,8 @@ class RunFolder:
     def sweep(self) -> None:
         """Delete unfinished checkpoints of processes that were killed; the run must be locked."""
         for path in (self.path / "checkpoints").glob(".*"):
-            path.unlink(missing_ok=True)
+            if _UNFINISHED.fullmatch(path.name):
+                path.unlink(missing_ok=True)
 
     def policy(self, name: str | None = None) -> "Policy":
         """Return the policy of a checkpoint, by default the deployed one, ready to act."""

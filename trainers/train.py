@@ -18,7 +18,7 @@ import torch
 from spikedeploy.envs.repeats import check_repeats
 from spikedeploy.runtime.errors import ConfigError
 from spikedeploy.trainers import ALGORITHMS
-from spikedeploy.trainers.config import C, amend, require_known, resolve
+from spikedeploy.trainers.config import C, Ramp, RunConfig, amend, require_known, resolve
 from spikedeploy.trainers.metrics_file import Journal, draw_curve
 from spikedeploy.trainers.progress import Interrupt, ProgressBar
 from spikedeploy.trainers.recipes import RECIPES
@@ -102,21 +102,39 @@ def _resumed(
     budget: str | None,
 ) -> Runner[Any]:
     """Return the runner of a run at its last checkpoint, its settings changed as asked for."""
-    before = run.settings()
-    if recipe not in (None, before["recipe"]):
-        raise ConfigError(f"{run.path} is a run of '{before['recipe']}', not of '{recipe}'")
-    if env not in (None, there := before["env"]["name"]):
-        raise ConfigError(f"{run.path} was trained in {there}, not in {env}: name the run")
-    kind = algorithm(before["algorithm"])
+    kind = algorithm(str(run.settings().get("algorithm")))
     former = run.config(kind.Config)
+    if recipe not in (None, former.recipe):
+        raise ConfigError(f"{run.path} is a run of '{former.recipe}', not of '{recipe}'")
+    if env not in (None, former.env.name):
+        raise ConfigError(
+            f"{run.path} was trained in {former.env.name}, not in {env}: name the run"
+        )
     config = _budgeted(amend(former, file=config_file, overrides=overrides), budget)
+    if config.seed != former.seed:
+        raise ConfigError(f"{run.path} has the seed {former.seed}, which a resumed run keeps")
     run.sweep()
     runner: Runner[Any] = kind(config, run)
     if run.begun:  # else it was killed before anything was learned
         runner.resume()
     if runner.finished and config != former:
         print(f"{run.path} was trained, and keeps its configuration", file=sys.stderr)
+    elif ended := _ended_schedules(former, config):
+        print(
+            f"{run.path} trains on with schedules that end at 0 before: {', '.join(ended)}. To "
+            "have them end later: --set NAME.finish=STEP",
+            file=sys.stderr,
+        )
     return runner
+
+
+def _ended_schedules(former: RunConfig, config: RunConfig) -> list[str]:
+    """Return the names of schedules that end at 0 before a training that was made longer does."""
+    steps = getattr(config, "steps", 0)
+    if steps <= getattr(former, "steps", 0):
+        return []
+    ramps = ((name, value) for name, value in config if isinstance(value, Ramp))
+    return [name for name, ramp in ramps if ramp.end == 0 and ramp.finish < steps]
 
 
 def _env_override(recipe: str, env: str | None) -> list[str]:

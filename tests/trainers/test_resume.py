@@ -189,3 +189,35 @@ def test_a_run_folder_has_its_versions_before_it_counts_as_one(sac, tmp_path, mo
     (part,) = tmp_path.iterdir()
     assert (part / "versions.json").is_file()
     assert not (part / "config.json").exists()
+
+
+def test_a_run_that_lost_its_last_checkpoint_does_not_begin_anew(sac, tmp_path):
+    run = trained("smoke", SAC, tmp_path)
+    note = run / "checkpoints" / ".notes"
+    note.write_text("keep")
+    resumed(run)
+    assert note.is_file()
+    for path in run.glob("checkpoints/last.*"):
+        path.unlink()
+    (run / "checkpoints" / "best.json").touch()
+    with pytest.raises(ConfigError, match="missing"):
+        resumed(run)
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [("seed=7", "seed"), ("algorithm=ppo", "algorithm"), ("recipe=smoke-kart", "recipe"),
+     ("critic_hidden=[4]", "those of before"), ("actor_rate.start=-1", "actor_rate")],
+)  # fmt: skip
+def test_what_a_resumed_run_keeps_is_refused_to_change(override, says, sac, tmp_path):
+    run = trained("smoke", SAC, tmp_path)
+    before = (run / "config.json").read_bytes()
+    with pytest.raises(ConfigError, match=says):
+        train(None, resume=run, overrides=[override], quiet=True)
+    assert (run / "config.json").read_bytes() == before
+
+
+def test_a_longer_training_says_which_schedules_have_ended(tmp_path, capsys):
+    run = trained("smoke-kart", [*KART, "actor_rate.end=0", "actor_rate.finish=384"], tmp_path)
+    train(None, resume=run, overrides=["steps=512"], quiet=True)
+    assert "actor_rate" in capsys.readouterr().err

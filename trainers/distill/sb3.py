@@ -176,7 +176,10 @@ def _read_weights(archive: zipfile.ZipFile) -> dict[str, Tensor]:
     with zipfile.ZipFile(raw) as inner:  # the format of torch since 1.6
         _check_sizes("policy.pth", inner.infolist())
     raw.seek(0)
-    found = torch.load(raw, map_location="cpu", weights_only=True)
+    try:
+        found = torch.load(raw, map_location="cpu", weights_only=True)
+    except Exception as error:  # whose text advises to load what may run code
+        raise ValueError("policy.pth holds more than weights, or is damaged") from error
     if not isinstance(found, dict) or not all(isinstance(each, Tensor) for each in found.values()):
         raise ValueError("policy.pth is no state dict")
     for name, each in found.items():
