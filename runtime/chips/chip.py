@@ -299,9 +299,10 @@ def _override(datasheet: Chip, overrides: Mapping[str, Any]) -> Chip:
 
 def _with_widths(limits: Limits, arithmetic: Any, before: Any) -> Limits:  # noqa: ANN401
     """The limits of a chip whose registers have other widths than they had before."""
-    widest = getattr(arithmetic, "weight_max", None) or arithmetic.weight_range[1]
-    highest = getattr(arithmetic, "threshold_max", None) or arithmetic.threshold_range[1]
-    memory = limits.memory
+    memory, widest = limits.memory, getattr(arithmetic, "weight_max", limits.weight_max)
+    if hasattr(arithmetic, "weight_range"):  # integrate and fire
+        widest = arithmetic.weight_range[1]
+    highest = getattr(arithmetic, "threshold_max", arithmetic.threshold_range[1])
     if memory and memory.weight_bits in (0, before.weight_bits):
         memory = replace(memory, weight_bits=arithmetic.weight_bits)
     return replace(
