@@ -261,6 +261,8 @@ def _observation_map(
             "make it with a gymnasium.ObservationWrapper that measures what matters in them"
         )
     shape, size = space.shape, int(np.prod(space.shape))
+    if not size:
+        raise EnvError(f"{name} observes nothing: its Box has the shape {shape}. Give it numbers")
     return Box(-np.inf, np.inf, (size,), np.float64), partial(read_vector, shape=shape)
 
 

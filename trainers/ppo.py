@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -78,6 +78,12 @@ class PpoConfig(RunConfig):
     rate_penalty: float = Field(default=0.0, ge=0)
     rate_target: Share = 0.2
     checkpoint_every: Positive = 50_000
+
+    @model_validator(mode="after")
+    def _temperatures_divide(self) -> "PpoConfig":
+        if not self.temperature.start or not self.temperature.end:
+            raise ValueError("temperature: start and end are above 0, as logits are divided by it")
+        return self
 
 
 # -- actions as distributions

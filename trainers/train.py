@@ -8,7 +8,7 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -119,22 +119,23 @@ def _resumed(
         runner.resume()
     if runner.finished and config != former:
         print(f"{run.path} was trained, and keeps its configuration", file=sys.stderr)
-    elif ended := _ended_schedules(former, config):
-        print(
-            f"{run.path} trains on with schedules that end at 0 before: {', '.join(ended)}. To "
-            "have them end later: --set NAME.finish=STEP",
-            file=sys.stderr,
-        )
+    else:
+        for remark in _remarks(former, config):
+            print(f"{run.path}: {remark}", file=sys.stderr)
     return runner
 
 
-def _ended_schedules(former: RunConfig, config: RunConfig) -> list[str]:
-    """Return the names of schedules that end at 0 before a training that was made longer does."""
-    steps = getattr(config, "steps", 0)
-    if steps <= getattr(former, "steps", 0):
-        return []
-    ramps = ((name, value) for name, value in config if isinstance(value, Ramp))
-    return [name for name, ramp in ramps if ramp.end == 0 and ramp.finish < steps]
+def _remarks(former: RunConfig, config: RunConfig) -> Iterator[str]:
+    """Yield what a run that is resumed with other settings may not be expected to do."""
+    rate, steps = getattr(config, "actor_rate", None), getattr(config, "steps", 0)
+    longer = steps > getattr(former, "steps", 0)
+    if longer and isinstance(rate, Ramp) and rate.end == 0 and rate.finish < steps:
+        yield (
+            f"its learning rate is 0 from step {rate.finish:,} on. To learn to the end: "
+            f"--set actor_rate.finish={steps}"
+        )
+    if config.env.options != former.env.options:
+        yield "its best checkpoint was chosen in the environment as it was before"
 
 
 def _env_override(recipe: str, env: str | None) -> list[str]:

@@ -217,7 +217,9 @@ def test_what_a_resumed_run_keeps_is_refused_to_change(override, says, sac, tmp_
     assert (run / "config.json").read_bytes() == before
 
 
-def test_a_longer_training_says_which_schedules_have_ended(tmp_path, capsys):
+def test_a_longer_training_says_that_its_learning_rate_has_ended(tmp_path, capsys):
     run = trained("smoke-kart", [*KART, "actor_rate.end=0", "actor_rate.finish=384"], tmp_path)
     train(None, resume=run, overrides=["steps=512"], quiet=True)
-    assert "actor_rate" in capsys.readouterr().err
+    assert "--set actor_rate.finish=512" in capsys.readouterr().err
+    train(None, resume=run, overrides=["steps=600", "actor_rate.finish=600"], quiet=True)
+    assert capsys.readouterr().err == ""
