@@ -186,6 +186,7 @@ class Drift:
     ablation: from rounded weights to the chip; empty where the arithmetic has none.
     findings: layers that are dead or saturated.
     readouts: layers on the chip whose membranes leave it.
+    remarks: on layers that one large number makes coarse (runtime.compiler.outliers).
     """
 
     chip: str
@@ -200,6 +201,7 @@ class Drift:
     ablation: tuple[_AblationStep, ...]
     findings: tuple[Finding, ...]
     readouts: tuple[_ReadoutDrift, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The fields, plain; the ablation is called rungs there."""
@@ -259,6 +261,7 @@ def drift(
         ablation=tuple(ablation),
         findings=tuple(diagnose(program, raster, twin, runs)),
         readouts=tuple(_readout_drift(name, twin, seen) for name in seen.membranes),
+        remarks=program.outliers,
     )
 
 
@@ -433,5 +436,6 @@ def _cause(
         )
     overflows = list(steps.values())[-1].saturations[layer.name]
     if overflows and cause in ("states", "rounding"):
-        return cause, f"{overflows} numbers overflow their registers: make weights smaller"
+        remedy = "let states decay faster, or fewer spikes arrive at once"
+        return cause, f"{overflows} numbers overflow their registers: {remedy}"
     return cause, _DETAILS[cause]

@@ -76,6 +76,12 @@ class ArithmeticDefaults(Protocol):
         return True
 
     @property
+    def weight_max(self) -> int:
+        """Largest weight: one bit is the sign where `weights_have_signs`."""
+        bits: int = getattr(self, "weight_bits")  # noqa: B009 (families define it)
+        return int((1 << (bits - self.weights_have_signs)) - 1)
+
+    @property
     def threshold_range(self) -> tuple[int, int]:
         """Step and largest threshold [state units], of chips that compute in integers."""
         return 1, NEVER - 1

@@ -128,8 +128,8 @@ class Limits:
     convolutions: what such a layer can be.
     axon_signs: whether a source excites all that it reaches, or inhibits all.
     weight_values: different weights of a neuron, besides 0; None where each synapse has its own.
-    weight_max: largest mantissa of a weight; where it is stated, that of the arithmetic.
-    threshold_max: largest threshold, in the unit of weight_max; likewise.
+    weight_max: largest mantissa of a weight; at most what the arithmetic's width holds.
+    threshold_max: largest threshold, in the unit of weight_max; at most what its register holds.
     current_loss: least and most that a synaptic current may lose in one timestep, of 1.
     membrane_loss: likewise of a membrane.
     recurrence: whether neurons can project to themselves, over however many others.
@@ -297,20 +297,30 @@ def _override(datasheet: Chip, overrides: Mapping[str, Any]) -> Chip:
     return cast("Chip", _build(replace, datasheet, **{"arithmetic": arithmetic, **outer}))
 
 
-def _with_widths(limits: Limits, arithmetic: Any, before: Any) -> Limits:  # noqa: ANN401
-    """The limits of a chip whose registers have other widths than they had before."""
-    memory, widest = limits.memory, getattr(arithmetic, "weight_max", limits.weight_max)
-    if hasattr(arithmetic, "weight_range"):  # integrate and fire
-        widest = arithmetic.weight_range[1]
-    highest = getattr(arithmetic, "threshold_max", arithmetic.threshold_range[1])
+def _with_widths(limits: Limits, arithmetic: Arithmetic, before: Arithmetic) -> Limits:
+    """The limits with registers of other widths: those that filled the former fill the new ones.
+
+    No weight or threshold is larger than its register, whatever the datasheet says.
+    """
+
+    def fitted(stated: int | None, then: int, now: int) -> int | None:
+        return stated if stated is None else now if stated == then else min(stated, now)
+
+    memory = limits.memory
     if memory and memory.weight_bits in (0, before.weight_bits):
         memory = replace(memory, weight_bits=arithmetic.weight_bits)
+    highest = [_largest_threshold(each) for each in (before, arithmetic)]
     return replace(
         limits,
-        weight_max=None if limits.weight_max is None else widest,
-        threshold_max=None if limits.threshold_max is None else highest,
+        weight_max=fitted(limits.weight_max, before.weight_max, arithmetic.weight_max),
+        threshold_max=fitted(limits.threshold_max, *highest),
         memory=memory,
     )
+
+
+def _largest_threshold(arithmetic: Arithmetic) -> int:
+    """The largest threshold, in the unit of weights."""
+    return arithmetic.threshold_range[1] >> int(getattr(arithmetic, "mantissa_shift", 0))
 
 
 def _find_field(datasheet: Chip, key: str) -> "Field[Any]":

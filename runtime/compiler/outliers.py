@@ -48,7 +48,7 @@ def _cause(arithmetic: Arithmetic, layer: Layer, quantisation: Quantisation) -> 
     if quantisation.granularity == "layer" and large:
         neuron, times = large
         remedy = (
-            "--quantise channel"
+            "--quantise channel may help"
             if "granularity" in arithmetic.choices
             else f"divide the neuron's weights, bias and threshold by {times:.3g}, which changes "
             "nothing in float"
@@ -79,7 +79,7 @@ def _largest(reach: Floats) -> tuple[int, float] | None:
 def _fills(arithmetic: Arithmetic, layer: Layer) -> dict[str, Floats]:
     """(N,) weights, biases and thresholds of each neuron, over what the chip holds of each."""
     shift = getattr(arithmetic, "mantissa_shift", 0)
-    most = float((1 << arithmetic.weight_bits) - 1)
+    most = float(arithmetic.weight_max)
     # of a Loihi, whose biases are wider than its weights
     mantissa = getattr(arithmetic, "bias_mantissa_max", 0)
     wide = (mantissa << getattr(arithmetic, "bias_exponent_max", 0)) >> shift

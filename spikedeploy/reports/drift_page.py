@@ -140,6 +140,7 @@ def _summary(report: DriftReport) -> list[tuple[str, str]]:
             "first difference",
             drift.first.describe() if drift.first else "nowhere: every spike is equal",
         ),
+        *(("remark", remark) for remark in drift.remarks),
         *([("remark", SILENT)] if is_silent else []),
         (_OUTPUTS[drift.output.kind], _error(drift.output)),
         *_fullest_register(drift),

@@ -150,6 +150,11 @@ class IntegrateAndFireRules:
         return self.queue == "on" and self.event_order != "none"
 
     @property
+    def weight_max(self) -> int:
+        """Largest weight."""
+        return self.weight_range[1]
+
+    @property
     def weight_range(self) -> tuple[int, int]:
         """Least and largest weight."""
         if self.signs == "axon":

@@ -92,11 +92,22 @@ def test_what_cannot_be_read_is_refused_by_name(text, message):
         chip(text)
 
 
-@pytest.mark.parametrize(("name", "widest", "bits"), [
-    ("loihi1", 255, 8), ("loihi1:weight_bits=4", 240, 4), ("spinnaker2:weight_bits=4", None, 4),
-    ("spinnaker2-lif:weight_bits=4", None, 16), ("xylo-a2", 127, None),
+@pytest.mark.parametrize(("name", "widest", "highest", "bits"), [
+    ("loihi1", 255, 131071, 8), ("loihi1:weight_bits=4", 240, 131071, 4),
+    ("spinnaker2:weight_bits=4", None, None, 4), ("spinnaker2-lif:weight_bits=4", None, None, 16),
+    ("xylo-a2", 127, 32767, None), ("xylo-a2:weight_bits=4", 7, 32767, None),
+    ("xylo-a2:state=12", 127, 2047, None), ("odin:weight_bits=2", 3, 255, None),
 ])  # fmt: skip
-def test_the_limits_on_weights_follow_their_width(name, widest, bits):
+def test_the_limits_of_weights_and_thresholds_follow_their_width(name, widest, highest, bits):
     limits = chip(name).limits
-    assert limits.weight_max == widest
+    assert (limits.weight_max, limits.threshold_max) == (widest, highest)
     assert (limits.memory and limits.memory.weight_bits) == bits
+
+
+@pytest.mark.parametrize(("stated", "found"), [(5, 5), (300, 7)])
+def test_a_datasheet_may_limit_weights_to_less_than_their_width(stated, found, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        f'[like]\nchip = "odin"\n[limits]\nweight_max = {{ value = {stated}, source = "a test" }}\n'
+    )
+    assert chip(str(path)).limits.weight_max == found

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from spikedeploy.runtime.codec.rate import Xorshift, first_states, step
+from spikedeploy.runtime.codec.rate import Xorshift, advance, first_states, step
 
 
 def marsaglia(x):
@@ -15,6 +15,14 @@ def test_the_first_numbers_are_those_that_are_published():
     # xorshift32 from 2463534242 (Marsaglia 2003, p. 4) begins with 723471715
     assert marsaglia(2463534242) == 723471715
     assert step(np.array([2463534242], np.uint32)).tolist() == [723471715]
+
+
+def test_looking_ahead_gives_the_bits_of_going_step_by_step():
+    x = np.random.default_rng(0).integers(1, 2**32, (3, 50), dtype=np.uint32)
+    found = advance(x, 40)
+    for t in range(40):
+        x = step(x)
+        np.testing.assert_array_equal(found[t], x)
 
 
 def mixed(x):
