@@ -238,7 +238,7 @@ class _Value(NamedTuple):
         return (*filter(None, [self.membrane_of]), *(name for name, _ in self.terms))
 
 
-_WHOLE = -1  # of the input: one timestep, or all
+_WHOLE = -1  # in place of a timestep of the input: all of it
 _GIVEN = _Value(((_INPUT, _WHOLE),))
 
 
@@ -440,8 +440,8 @@ class _Tracer(TorchFunctionMode):
             if values := [each for each in known if each is not None]:
                 complete = len(values) == len(known)
                 value = self._value_of(name, arguments, options, result, values, complete)
+                of_input = name == "unbind" and value == _GIVEN
                 for t, each in enumerate(_tensors(result)):
-                    of_input = name == "unbind" and value == _GIVEN
                     self._know(each, _Value(((_INPUT, t),)) if of_input else value)
         return result
 
@@ -504,12 +504,12 @@ class _Tracer(TorchFunctionMode):
 
         Raises ConfigError for other indices than whole numbers.
         """
-        if function == "unbind":
-            return _GIVEN
         given, *rest = arguments
-        if function == "select":
-            named = dict(zip(("dim", "index"), rest, strict=False)) | dict(options)
-            places: tuple[Any, ...] = (*[slice(None)] * named["dim"], named["index"])
+        if function in ("select", "unbind"):
+            named = {"dim": 0, "index": 0}
+            named |= dict(zip(("dim", "index"), rest, strict=False)) | dict(options)
+            axis = named["dim"] % given.ndim
+            places: tuple[Any, ...] = (*[slice(None)] * axis, named["index"])
         else:
             places = rest[0] if isinstance(rest[0], tuple) else (rest[0],)
         whole = [isinstance(each, int) for each in places]
@@ -523,6 +523,8 @@ class _Tracer(TorchFunctionMode):
                 "network on a chip takes one timestep after another. Index timesteps by whole "
                 "numbers, or write a forward of one timestep."
             )
+        if function == "unbind":
+            return _GIVEN
         axis = whole.index(True)
         return _Value(((_INPUT, places[axis] % given.shape[axis]),))
 

@@ -75,9 +75,15 @@ class Journal:
                 f"{path} is damaged: its rows end at {last:g}, and were written up to {logged:g}. "
                 "Put it back, or move it away: then a new one begins. The policy is not affected."
             )
+        if unknown := {key for row in rows for key in row} - set(self._columns):
+            raise ConfigError(
+                f"{path} has columns of another training ({', '.join(sorted(unknown))}). Put it "
+                "back, or move it away: then a new one begins. The policy is not affected."
+            )
         if logged is not None and not rows:
             print(f"{path} has no rows: they begin at {step:,}", file=sys.stderr)
-        self._write([row for row in rows if row.get(name, math.inf) <= step])
+        upto = -math.inf if logged is None else min(step, logged)
+        self._write([row for row in rows if row.get(name, math.inf) <= upto])
         self.board.rewind(step)
 
     def close(self) -> None:

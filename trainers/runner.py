@@ -288,25 +288,23 @@ class Runner(ABC, Generic[C]):
         state, tensors = self._run.load("last")
         check_policy(self._run.path, state["policy"], self.policy)
         try:
-            self._take_over(state, tensors)
+            self.learner.load(tensors)
+            counters = {name: state[name] for name in self.COUNTERS}
         except (KeyError, RuntimeError, ValueError) as error:
             first = str(error).partition("\n")[0]
             raise ConfigError(
                 f"{self._run.checkpoint('last')} is no checkpoint of a training with these "
                 f"settings: {first}. Resume it with those of before"
             ) from error
-        self._run.write_numbers("last", state)  # a kill may have come before them
-
-    def _take_over(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-        self.learner.load(tensors)
-        for name in self.COUNTERS:
+        for name, value in counters.items():
             if not isinstance(getattr(type(self), name, None), property):
-                setattr(self, name, state[name])
+                setattr(self, name, value)
         self.best = -np.inf if state["best"] is None else state["best"]
         self.logged, self._returns = state["logged"], state["returns"]
         self._rng.bit_generator.state = state["rng"]
         self._restore(state, tensors)
         torch.set_rng_state(tensors["torch_rng"])  # last, as restoring may draw
+        self._run.write_numbers("last", state)  # a kill may have come before them
 
 
 def check_policy(path: Path, before: Mapping[str, Any], policy: Policy) -> None:

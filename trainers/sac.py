@@ -447,10 +447,12 @@ class Sac(EnvRunner[SacConfig]):
         if self.finished:
             return
         if "replay" not in tensors:
-            raise ConfigError(
-                f"{self._run.path} is finished, and a finished run has no replay to go on from: "
-                "start a new run with more steps"
+            why = (
+                "it is finished, and a finished run has none: start a new run with more steps"
+                if state["finished"]
+                else "another version made the run: use that one, or train it anew"
             )
+            raise ConfigError(f"{self._run.path} has no replay to go on from, as {why}")
         self._buffer.load(tensors["replay"].numpy(), state["next"])
 
 

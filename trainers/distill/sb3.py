@@ -152,7 +152,7 @@ def _check_sizes(name: str, members: list[zipfile.ZipInfo]) -> None:
     most = min(_MAX_BYTES[name], _FREE + _RATIO * packed)
     if unpacked > most:
         raise ValueError(
-            f"{name} would unpack from {packed:,} to {unpacked:,} bytes, over {most:,}"
+            f"{name} would unpack from {packed:,} to {unpacked:,} bytes, over {most:,}. {REMEDY}"
         )
 
 
@@ -173,8 +173,15 @@ def _read_data(archive: zipfile.ZipFile) -> dict[str, Any]:
 def _read_weights(archive: zipfile.ZipFile) -> dict[str, Tensor]:
     """Return the state dict, read by torch's reader that runs no code."""
     raw = io.BytesIO(_member(archive, "policy.pth"))
-    with zipfile.ZipFile(raw) as inner:  # the format of torch since 1.6
-        _check_sizes("policy.pth", inner.infolist())
+    try:
+        with zipfile.ZipFile(raw) as inner:
+            members = inner.infolist()
+    except zipfile.BadZipFile as error:
+        raise ValueError("policy.pth is damaged, or of torch before 1.6") from error
+    _check_sizes("policy.pth", members)
+    # which torch before 2.6 runs whatever `weights_only` says
+    if any(each.filename.endswith("constants.pkl") for each in members):
+        raise ValueError("policy.pth is a script of torch, which runs code")
     raw.seek(0)
     try:
         found = torch.load(raw, map_location="cpu", weights_only=True)

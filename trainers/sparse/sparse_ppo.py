@@ -212,6 +212,7 @@ class SparsePpo(Runner[SparsePpoConfig]):
         self.start_return = self.best = self._first["eval_return"]
         of_start = max(self._source.budget, self._first["eval_operations"])
         self.allowed = self.config.budget or of_start
+        self._checkpoint()  # before "best", so that a run that is killed here can be resumed
         self._save_best(self.learner.student.deployed(self._chip), self._first)
 
     def _iterate(self, stopped: Callable[[], bool]) -> bool:
@@ -258,6 +259,8 @@ class SparsePpo(Runner[SparsePpoConfig]):
 
     def _restore(self, state: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
         self._first = state["first"]
+        if self._first and not self._run.checkpoint("best").is_file():  # killed before it was saved
+            self._save_best(self.learner.student.deployed(self._chip), self._first)
 
 
 # -- exploration around a policy whose states live on from one control step to the next
