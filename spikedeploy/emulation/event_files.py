@@ -52,6 +52,19 @@ def named_columns(names: Iterable[str]) -> dict[str, str]:
     return {key: name for key, name in found.items() if name}
 
 
+def _check_names(path: Path, names: Iterable[str]) -> None:
+    """Refuse columns of which two have a name of one quantity."""
+    there = set(names)
+    for key, known in _NAMES.items():
+        if len(both := [name for name in known if name in there]) > 1:
+            raise ObservationError(f"{path} has {' and '.join(both)}: which is {key}? Keep one.")
+
+
+def _remark_units(times: np.dtype[Any]) -> tuple[str, ...]:
+    """The remark on times in floats, of which nothing says the unit."""
+    return ("times are floats, and read as seconds",) * (times.kind == "f")
+
+
 @dataclass(frozen=True)
 class EventRecording:
     """A file of events, which is read as often as wanted.
@@ -61,12 +74,14 @@ class EventRecording:
     parts: reads columns x, y, t and p one part after another. Times are microseconds in whole
         numbers, of which those of 32 bits may wrap, or seconds in floats.
     offset: time that is added to all [us].
+    remarks: what of the file was read, where that is not plain.
     """
 
     path: Path
     size: Size | None
     parts: Parts
     offset: int = 0
+    remarks: tuple[str, ...] = ()
 
     def events(self) -> Iterator[Events]:
         """Events (E,) in the order of time, part by part; ObservationError where any is none."""
@@ -212,13 +227,14 @@ def _numpy_recording(path: Path) -> EventRecording:
             f"{path} holds {', '.join(names) or f'plain {array.dtype}'}; needed is a structured "
             "array with the fields x, y, t [us] and p. Rasters go to --input."
         )
+    _check_names(path, names)
 
     def parts() -> Iterator[Columns]:
         for first in range(0, len(array), PART):
             rows = array[first : first + PART]
             yield tuple(np.asarray(rows[fields[name]]) for name in "xytp")
 
-    return EventRecording(path, None, parts)
+    return EventRecording(path, None, parts, remarks=_remark_units(array.dtype[fields["t"]]))
 
 
 def _dat_recording(path: Path) -> EventRecording:
@@ -234,9 +250,12 @@ def _dat_recording(path: Path) -> EventRecording:
                 header[found[1].decode().lower()] = int(found[2])
         place = file.tell() + 1
         event_size = file.read(1)
-    if not start or event_size != b"\x08" or header.get("version", 2) != 2:
+    kinds = (b"\x00", b"\x0c")  # of change detection, as Metavision and faery write them
+    if start not in kinds or event_size != b"\x08" or header.get("version", 2) != 2:
         raise ObservationError(f"{path} holds no events of version 2 of .dat. Convert it anew.")
-    words = np.memmap(path, "<u4", "r", place, ((path.stat().st_size - place) // 8, 2))
+    count, rest = divmod(path.stat().st_size - place, 8)
+    cut = ("the file is cut within its last event, which is left out",) * bool(rest)
+    words = np.memmap(path, "<u4", "r", place, (count, 2))
 
     def parts() -> Iterator[Columns]:
         for first in range(0, len(words), PART):
@@ -244,7 +263,7 @@ def _dat_recording(path: Path) -> EventRecording:
             yield word & 0x3FFF, word >> 14 & 0x3FFF, t, word >> 28
 
     size = (header["height"], header["width"]) if {"height", "width"} <= header.keys() else None
-    return EventRecording(path, size, parts, offset=header.get("t0", 0))  # t0 is faery's
+    return EventRecording(path, size, parts, header.get("t0", 0), cut)  # t0 is faery's
 
 
 def _faery_recording(path: Path, form: str) -> EventRecording:
@@ -262,11 +281,54 @@ def _faery_recording(path: Path, form: str) -> EventRecording:
         return faery.events_stream_from_file(path, dimensions_fallback=_UNKNOWN, file_type=kind)
 
     def parts() -> Iterator[Columns]:
+        if form == ".raw":
+            _check_raw(path)
         for events in stream():  # which is read once
             yield events["x"], events["y"], events["t"], events["on"]
 
     width, height = stream().dimensions()
     return EventRecording(path, None if (width, height) == _UNKNOWN else (height, width), parts)
+
+
+# by version of EVT: a word, the place of its type in it, and of the time where that is TIME_HIGH
+_WORDS = {"2": ("<u4", 28, 0), "21": ("<u8", 60, 32), "3": ("<u2", 12, 0)}
+_TIME_HIGH = 8
+
+
+def _check_raw(path: Path) -> None:
+    """Refuse a .raw whose high bits of time fall, unless all begin anew; faery takes each for that.
+
+    Words as in Prophesee's documentation, docs.prophesee.ai, Encoding Formats EVT 2.0, 2.1, 3.0.
+    """
+    header = _header(path)
+    version = re.search(rb"% (?:evt |format EVT)(\d)\.?(1?)", header)
+    known = _WORDS.get(b"".join(version.groups()).decode()) if version else None
+    if known is None:
+        return
+    kind, of_type, of_time = known
+    most = (1 << (of_type - of_time)) - 1
+    width = np.dtype(kind).itemsize
+    last = 0
+    with path.open("rb") as file:
+        file.seek(len(header))
+        while part := file.read(width * PART):
+            words = np.frombuffer(part[: len(part) // width * width], kind)
+            high = (words[words >> of_type == _TIME_HIGH] >> of_time & most).astype(np.int64)
+            falls = -np.diff(high, prepend=last)
+            if ((falls > 0) & (falls < most // 8 * 7)).any():
+                raise ObservationError(f"{path}: its times jump back. Sort the events by time.")
+            last = int(high[-1]) if len(high) else last
+
+
+def _header(path: Path) -> bytes:
+    """The lines that begin with "%", ahead of all others; of .raw to "% end"."""
+    found = b""
+    with path.open("rb") as file:
+        while (line := file.readline(PART)).startswith(b"%") and line.endswith(b"\n"):
+            found += line
+            if line.strip() == b"% end":
+                break
+    return found
 
 
 def damaged(path: Path, error: Exception) -> ObservationError:
@@ -283,6 +345,7 @@ def damaged(path: Path, error: Exception) -> ObservationError:
 # a group of columns, a dataset with fields, or a table (N, 4); the first that is there is read
 _LAYOUTS = ("CD/events", "events", "event", "")
 _TABLE = "txyp"  # columns of v2e's table
+_ECF = 36559  # Prophesee's filter
 _MOST_CHUNK = 1 << 28  # bytes that HDF5 unpacks at once
 _MOST_NAMES = 8  # of a file whose layout is not known
 
@@ -293,10 +356,16 @@ _Places: TypeAlias = list[tuple[str, Any]]
 def _hdf5_recording(path: Path) -> EventRecording:
     """The recording in a file; ObservationError where it has no layout that is known."""
     with h5py.File(path) as file:
-        place, columns = _columns(path, file)
-        for member in _open(path, file, columns).values():
+        (place, columns), *others = _layouts(path, file)
+        members = _open(path, file, columns)
+        for member in members.values():
             _check_filters(path, member)
         size, offset = _size(file, place), _offset(file, place)
+        name, field = columns["xytp".index("t")]
+        times = members[name].dtype
+        remarks = list(_remark_units(times[field] if isinstance(field, str) else times))
+        for other, _ in others:
+            remarks.append(f"read is {place or 'x, y, t, p'}; {other or 'x, y, t, p'} is there too")
 
     def parts() -> Iterator[Columns]:
         with h5py.File(path) as file:
@@ -305,11 +374,11 @@ def _hdf5_recording(path: Path) -> EventRecording:
                 rows = {place: member[first : first + PART] for place, member in members.items()}
                 yield tuple(rows[place][index] for place, index in columns)
 
-    return EventRecording(path, size, parts, offset)
+    return EventRecording(path, size, parts, offset, tuple(remarks))
 
 
-def _columns(path: Path, file: h5py.File) -> tuple[str, _Places]:
-    """Place of the events in a file, and of their x, y, t and p."""
+def _layouts(path: Path, file: h5py.File) -> list[tuple[str, _Places]]:
+    """Places of events in a file, and of their x, y, t and p; the first is read."""
     names, with_fields = list[str](), list[str]()
 
     def look(name: str, member: object) -> None:
@@ -318,16 +387,21 @@ def _columns(path: Path, file: h5py.File) -> tuple[str, _Places]:
             with_fields.append(name)
 
     file.visititems(look)
+    layouts: dict[str, _Places] = {}
     for place in (*_LAYOUTS, *with_fields[: len(with_fields) == 1]):
         member = file.get(place) if place else file
         if isinstance(member, h5py.Group):
             if len(found := named_columns(member)) == 4:
-                return place, [(f"{place}/{found[name]}".lstrip("/"), ...) for name in "xytp"]
+                _check_names(path, member)
+                layouts[place] = [(f"{place}/{found[n]}".lstrip("/"), ...) for n in "xytp"]
         elif isinstance(member, h5py.Dataset):
             if len(found := named_columns(member.dtype.names or ())) == 4:
-                return place, [(place, found[name]) for name in "xytp"]
-            if member.ndim == 2 and member.shape[1] == 4:
-                return place, [(place, (slice(None), _TABLE.index(name))) for name in "xytp"]
+                _check_names(path, member.dtype.names)
+                layouts[place] = [(place, found[n]) for n in "xytp"]
+            elif member.ndim == 2 and member.shape[1] == 4:
+                layouts[place] = [(place, (slice(None), _TABLE.index(n))) for n in "xytp"]
+    if layouts:
+        return list(layouts.items())
     raise ObservationError(
         f"{path} holds {', '.join(names[:_MOST_NAMES]) or 'nothing'}"
         f"{' ...' * (len(names) > _MOST_NAMES)}; known are x, y, t, p in a group or as fields of "
@@ -374,8 +448,13 @@ def _check_filters(path: Path, column: h5py.Dataset) -> None:
     if importlib.util.find_spec("hdf5plugin"):
         import hdf5plugin  # noqa: F401 (it registers filters, such as DSEC's blosc)
     if missing := [code for code in filters if not h5py.h5z.filter_avail(code)]:
+        remedy = (
+            "it is Prophesee's ECF. Where Metavision is installed, metavision_file_to_dat -i FILE "
+            "writes a .dat, which is read"
+            if missing[0] == _ECF
+            else 'pip install "spikedeploy[dsec]", or write it with gzip'
+        )
         raise ObservationError(
             f"{path}: {column.name} is compressed by filter {missing[0]}, which HDF5 here has not: "
-            'pip install "spikedeploy[dsec]", or write it with gzip; Prophesee\'s '
-            "metavision_file_to_dat writes a .dat, which is read."
+            f"{remedy}."
         )

@@ -142,8 +142,14 @@ class EventInput:
     @property
     def timesteps(self) -> int:
         """Timesteps from that of the first event on; 0 where there are none."""
-        us = self.step_us
-        return 0 if us is None else int(self.last // us) - int(self.first // us) + 1
+        if self.step_us is None:
+            return 0
+        first, last = self._timestep(np.array([self.first, self.last])).tolist()
+        return int(last - first) + 1
+
+    def _timestep(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The timesteps in which times [us] are."""
+        return np.floor(times / (self.step_us or 1.0)).astype(np.int64)
 
     @property
     def duration(self) -> float:
@@ -152,24 +158,25 @@ class EventInput:
 
     @property
     def remarks(self) -> list[str]:
-        """Remarks on channels that no event reaches."""
+        """Remarks on the file, and on channels that no event reaches."""
+        found = list(self.recording.remarks)
         if not self.seen:
-            return ["no event of the recording reaches the Input"]
-        return [
+            return [*found, "no event of the recording reaches the Input"]
+        empty = [k for k, count in enumerate(self.channels) if not count]
+        return found + [
             f"channel {k} of the Input got no event: all {self.seen:,} that reach it have the "
             "other polarity"
-            for k, count in enumerate(self.channels)
-            if not count
+            for k in empty
         ]
 
     def rows(self) -> Iterator[NDArray[np.int64]]:
         """Counts (M,) of events of each neuron of the Input, timestep by timestep."""
-        us = self.step_us or 1.0
-        size, now, start = int(np.prod(self.view.shape)), 0, int(self.first // us)
+        size, now = int(np.prod(self.view.shape)), 0
+        start = int(self._timestep(np.array([self.first]))[0])
         row = np.zeros(size, np.int64)
         for events in self.recording.events():
             neuron = self.view.neurons(events)
-            step = np.floor(events["t"][neuron >= 0] / us).astype(np.int64) - start
+            step = self._timestep(events["t"][neuron >= 0]) - start
             neuron = neuron[neuron >= 0]
             bounds = [*np.flatnonzero(np.diff(step, prepend=-1)).tolist(), len(step)]
             for first, end in pairwise(bounds):

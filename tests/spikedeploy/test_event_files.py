@@ -372,6 +372,12 @@ def test_a_dat_is_read_without_faery(tmp_path):
     write_dat(path, wanted)
     with pytest.raises(ObservationError, match="polarities 1, 2"):
         list(open_recording(path).events())
+    write_dat(path, wanted, b"% Version 2\n\x0e\x08")  # triggers
+    with pytest.raises(ObservationError, match="no events"):
+        open_recording(path)
+    write_dat(path, wanted)
+    path.write_bytes(path.read_bytes()[:-3])
+    assert "cut within" in open_recording(path).remarks[0]
     write_dat(path, wanted, b"% Version 1\n\x0c\x08")
     with pytest.raises(ObservationError, match="version 2"):
         open_recording(path)
@@ -400,3 +406,31 @@ def test_a_camera_other_than_the_file_says_is_refused(tmp_path):
     write_ours(tmp_path / "a.h5", drawn(9))
     with pytest.raises(ObservationError, match=r"48x64 .* --camera 64x48"):
         open_recording(tmp_path / "a.h5", (64, 48))
+
+
+def test_names_and_units_that_may_be_meant_otherwise_are_said(tmp_path):
+    path = tmp_path / "a.npy"
+    fields = [("x", "u2"), ("y", "u2"), ("t", "f8"), ("p", "u1")]
+    np.save(path, np.array([(1, 2, 0.001, 0), (1, 2, 0.0025, 1)], fields))
+    assert open_recording(path, (4, 4)).remarks == ("times are floats, and read as seconds",)
+    np.save(path, np.zeros(2, [*fields, ("timestamp", "u8")]))
+    with pytest.raises(ObservationError, match="t and timestamp"):
+        open_recording(path, (4, 4))
+
+
+def test_a_raw_whose_times_jump_back_is_refused(tmp_path):
+    path, words = tmp_path / "a.raw", []
+    for high in (10, 12, 5, 13):  # EVT3: TIME_HIGH, TIME_LOW, a row, a column
+        words += [0x8000 | high, 0x6005, 0x0003, 0x2804]
+    path.write_bytes(b"% evt 3.0\n% end\n" + np.array(words, "<u2").tobytes())
+    with pytest.raises(ObservationError, match="jump back"):
+        list(open_recording(path, (64, 64)).events())
+
+
+def test_of_two_recordings_in_a_file_the_other_is_named(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        for place in ("CD/events", "events"):
+            for name in "xytp":
+                file[f"{place}/{name}"] = np.array([1])
+    assert open_recording(path, (4, 4)).remarks == ("read is CD/events; events is there too",)
