@@ -264,6 +264,8 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=zoo.FOLDER)
     parser.add_argument("--force", action="store_true")
     said = parser.parse_args()
+    if not (said.update or (said.run and said.name)):
+        parser.error("give RUN and --name, or --update")
     for name in said.update:
         update_card(name, said.workers)
     if said.run:

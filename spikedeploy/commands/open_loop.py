@@ -120,8 +120,8 @@ def emulate(
         float any numbers
 
     Output:
-        output: spikes of each node and `output`, or each Output, .npz, or NIRData, .h5, which
-            --events takes (default: they are counted alone)
+        output: spikes of each node and `output`, or each Output, .npz, or NIRData, .h5; with
+            --events only .h5 (default: they are counted alone)
         tables: print outputs, counts and energies, or all: NeuroBench's measures too
 
     The emulated chip:

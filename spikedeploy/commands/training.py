@@ -230,7 +230,8 @@ def _run_seeds(
         Table(("seed", "best validation return", "run"), rows, str(recipe)).print()
         if mean is not None:
             few = f"; of fewer than {FEWEST} trainings the interval holds the truth too seldom"
-            print_text(f"mean {mean.text(',.4g')}{few if len(found) < FEWEST else ''}")
+            whole = sum(e.best is not None and not e.stopped for e in found)
+            print_text(f"mean {mean.text(',.4g')}{few if whole < FEWEST else ''}")
     if stopped:
         for each in found:
             if each.run and each.stopped:

@@ -191,7 +191,7 @@ def weighted_mean(values: Sequence[Any], weights: Sequence[int]) -> Any:  # noqa
         names = dict.fromkeys(name for value in values for name in value)
         columns = {name: [value.get(name, 0.0) for value in values] for name in names}
         return {name: weighted_mean(column, weights) for name, column in columns.items()}
-    if isinstance(values[0], list):
+    if isinstance(values[0], list | tuple):
         return [weighted_mean(column, weights) for column in zip(*values, strict=True)]
     if isinstance(values[0], EnergyEstimate):
         bounds = [[each.value, each.low, each.high] for each in values]

@@ -575,8 +575,17 @@ def test_a_timestep_is_read_by_its_number(pick):
     assert torch.equal(found, wanted)
 
 
-@pytest.mark.parametrize("pick", [lambda x, t: x[t - 1], lambda x, t: x[0], lambda x, t: x[-1 - t],
-                                  lambda x, t: x[t] + before(x, t)])  # fmt: skip
+@pytest.mark.parametrize(
+    "pick",
+    [
+        lambda x, t: x[t - 1],
+        lambda x, t: x[0],
+        lambda x, t: x[-1 - t],
+        lambda x, t: x[t] + before(x, t),
+        lambda x, t: x.select(-1, t % 4)[..., None].expand(12, 5, 4)[0],
+        lambda x, t: x.unbind(-1)[0][..., None].expand(12, 5, 4)[0],
+    ],
+)
 def test_a_loop_that_reads_other_timesteps_is_refused(pick):
     with pytest.raises(ConfigError, match=r"fc|Looping"):
         sd.on_chip(Looping(pick), "ideal", (4,))
