@@ -37,7 +37,7 @@ class TableError(Exception):
     """A comment that asks for what no file of results has; one sentence."""
 
 
-class Table(NamedTuple):
+class MarkdownTable(NamedTuple):
     """A table in Markdown: heads of its columns, and rows as wide as these."""
 
     heads: list[str]
@@ -50,17 +50,17 @@ def pages() -> list[Path]:
     return [page for place in places for page in sorted(ROOT.glob(place))]
 
 
-def parse_tables(text: str) -> Iterator[Table]:
+def parse_tables(text: str) -> Iterator[MarkdownTable]:
     """Yield every table of a text in Markdown."""
     for block in re.findall(r"(?:^\|.*\n?)+", text, re.MULTILINE):
         heads, *lines = [
             [cell.strip() for cell in line.strip().strip("|").split("|")]
             for line in block.splitlines()
         ]
-        yield Table(heads, lines[1:])  # the first line rules off the heads
+        yield MarkdownTable(heads, lines[1:])  # the first line rules off the heads
 
 
-def join_tables(found: list[Table], columns: list[str]) -> Table:
+def join_tables(found: list[MarkdownTable], columns: list[str]) -> MarkdownTable:
     """Return the first table that has the columns, or rows of several that begin with one head.
 
     Raises TableError where no table, or no row of joined tables, has a column.
@@ -76,17 +76,19 @@ def join_tables(found: list[Table], columns: list[str]) -> Table:
     missing = [head for head in columns if not any(head in row for row in cells.values())]
     if missing:
         raise TableError(f"there is no column {missing[0]!r}")
-    return Table(columns, [[row.get(head, ABSENT) for head in columns] for row in cells.values()])
+    return MarkdownTable(
+        columns, [[row.get(head, ABSENT) for head in columns] for row in cells.values()]
+    )
 
 
-def select(table: Table, rows: list[str], columns: list[str]) -> Table:
+def select(table: MarkdownTable, rows: list[str], columns: list[str]) -> MarkdownTable:
     """Return the rows with these names in the first column, and these columns, in this order."""
     named = {row[0]: row for row in table.rows}
     if missing := [name for name in rows if name not in named]:
         raise TableError(f"there is no row {missing[0]!r}, only {', '.join(named)}")
     places = [table.heads.index(head) for head in columns]
     chosen = [named[name] for name in rows] if rows else table.rows
-    return Table(columns, [[row[place] for place in places] for row in chosen])
+    return MarkdownTable(columns, [[row[place] for place in places] for row in chosen])
 
 
 def make_table(request: str) -> str:

@@ -17,6 +17,7 @@ from spikedeploy.runtime.files import read_toml
 from spikedeploy.runtime.schema import validate
 from spikedeploy.trainers.recipes import RECIPES, merge
 
+VALIDATION_SEEDS = 5_000  # and above, below those of evaluation: no training uses them
 EVALUATION_SEEDS = 10_000  # and above: no training and no choice of checkpoints uses them
 _MAX_STEPS = 10**12  # steps; a number beyond it is a mistake, and none that arrays can hold
 Positive = Annotated[int, Field(gt=0, le=_MAX_STEPS)]
@@ -222,7 +223,7 @@ class ValidationConfig(Section):
 
     every: Positive = 10_000
     episodes: Positive = 4
-    first_seed: int = Field(default=5_000, ge=5_000, lt=9_000)
+    first_seed: int = Field(default=VALIDATION_SEEDS, ge=VALIDATION_SEEDS, lt=9_000)
     limit: Positive | None = None
 
     @property
@@ -236,7 +237,7 @@ class RunConfig(Section):
 
     algorithm: str
     recipe: str
-    seed: int = Field(default=0, ge=0, lt=5_000)
+    seed: int = Field(default=0, ge=0, lt=VALIDATION_SEEDS)
     env: EnvConfig = EnvConfig()
     policy: PolicyConfig = MlpConfig()
     normaliser: NormaliserConfig = NormaliserConfig()

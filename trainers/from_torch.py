@@ -487,7 +487,7 @@ class _Tracer(TorchFunctionMode):
         if function in _STACKING and complete and len({each.names for each in values}) == 1:
             shape, before = self._shape(value, _tensors(first)[0]), _tensors(first)[0]
             if result.ndim > before.ndim or result.shape[result.ndim - len(shape) :] == shape:
-                return self._stacked(values)
+                return self._stacked(function, values)
         if function in _RESHAPING and isinstance(first, Tensor) and isinstance(result, Tensor):
             return self._reshaped(function, first, result, value)
         return _Value(made_by=function)
@@ -528,12 +528,12 @@ class _Tracer(TorchFunctionMode):
         axis = whole.index(True)
         return _Value(((_INPUT, places[axis] % given.shape[axis]),))
 
-    def _stacked(self, values: Sequence[_Value]) -> _Value:
+    def _stacked(self, function: str, values: Sequence[_Value]) -> _Value:
         """Return what a stack of timesteps of one node comes from."""
         if _INPUT not in values[-1].names:
             return values[-1]
         in_order = [each.terms for each in values] == [((_INPUT, t),) for t in range(len(values))]
-        return _GIVEN if in_order else _Value(made_by="stack")
+        return _GIVEN if in_order else _Value(made_by=function)
 
     def _reshaped(self, function: str, before: Tensor, after: Tensor, value: _Value) -> _Value:
         takes = self._shape(value, before)
@@ -619,7 +619,7 @@ class _Tracer(TorchFunctionMode):
         if any(lag not in (0, 1) for _, lag in wanted):
             raise ConfigError(f"{target}: it receives what is several timesteps old.")
         if len({source for source, _ in wanted}) < len(wanted):
-            raise ConfigError(f"{target}: it receives a layer's spikes of two timesteps at once.")
+            raise ConfigError(f"{target}: it receives what is of two timesteps at once.")
         return wanted
 
     def _is_static(self, source: str, call: int) -> bool:

@@ -61,7 +61,7 @@ def measure(job: tuple[str, str]) -> Iterator[Record]:
         settings = [*_TASKS[task]["settings"], *_FURTHER.get(name, ())]
         settings += [f'policy.chip="{name}"', f'teacher="{_teacher(task)}"']
         _ship(trained(f"chips/{task}-{name}", "for-chip", task, settings), file)
-    on_chip = policies.OnChip(file, name)
+    on_chip = policies.EmulatedPolicy(file, name)
     scores, counts = policies.play(task, on_chip)
     del counts["readout_updates"]
     own = {"sha256": zoo.sha256(file), "neurons": on_chip.neurons, **on_chip.inputs}

@@ -66,7 +66,7 @@ def measure(job: Key) -> Iterator[Record]:
     is_wide = shape is not None and shape[0] > 8 and name.startswith("xylo")
     settings += [*further, *_LONGER.get(f"{task}/{name}", ()), *(_FEW_INPUTS if is_wide else ())]
     run = trained(f"own-networks/{task}-{network}-s{seed}", recipe, task, settings, seed)
-    on_chip = policies.OnChip(Path(runnable(str(run))), name)
+    on_chip = policies.EmulatedPolicy(Path(runnable(str(run))), name)
     scores, counts = policies.play(task, on_chip)
     yield {**row, **on_chip.inputs, "sops": counts["sops"], "scores": scores}
 

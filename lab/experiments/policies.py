@@ -55,7 +55,7 @@ def in_bits(policy: PrunedMlpPolicy, bits: int) -> PrunedMlpPolicy:
     return policy
 
 
-class OnChip:
+class EmulatedPolicy:
     """A spiking policy on an emulated chip, for a batch of robots."""
 
     def __init__(self, file: Path, name: str) -> None:

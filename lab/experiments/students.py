@@ -66,7 +66,7 @@ def measure(job: Key) -> Iterator[Record]:
     if role in RECIPES:
         run = RunFolder(_run(task, role, seed))
         if role == STUDENT:
-            policy: Any = policies.OnChip(Path(runnable(str(run.path))), "loihi1")
+            policy: Any = policies.EmulatedPolicy(Path(runnable(str(run.path))), "loihi1")
         else:
             policy = policies.InEightBits(run.path, run.path / "int8.onnx")
         # `validation` may choose a training: these episodes choose none

@@ -76,7 +76,7 @@ def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
         steps = recorded.steps
         remarks.append(_AS_SENT)
     else:
-        steps = _work_on(crossbar, sent, host)
+        steps = _process(crossbar, sent, host)
         if host == "stream":
             is_told = recorded is not None and "lost spikes" in recorded.tables
             remarks.append(_STREAMED + _LOST_TOO * is_told)
@@ -99,8 +99,8 @@ def crossbar_verdict(fields: Fields, chip: str) -> Verdict:
     )
 
 
-def _work_on(crossbar: Crossbar, sent: list[list[Event]], host: str) -> list[int]:
-    """Give the chip the events that the host sends; the timestep of each that it worked on."""
+def _process(crossbar: Crossbar, sent: list[list[Event]], host: str) -> list[int]:
+    """Give the chip the events that the host sends; the timestep of each that it processed."""
     steps, last = list[int](), len(sent) - 1
     for t, events in enumerate(sent):
         crossbar.timestep(events, host == "wait", drains=host != "stream" or t == last)
@@ -122,7 +122,7 @@ def _in_timesteps(
 
 @dataclass(frozen=True, eq=False)
 class _Events:
-    """Events in the order in which a chip worked on them, E of them.
+    """Events in the order in which a chip processed them, E of them.
 
     events, steps: what they are, and the timestep of each.
     tables: those of "membrane", "spikes" and "lost spikes" (E, N) that were recorded.
@@ -306,5 +306,5 @@ def _read_sent(
     for t, (row, expected) in enumerate(zip(in_order, sent, strict=True)):
         if (row if order == "index" else sorted(row)) != expected:
             found = f"has other axons than input_spikes in timestep {t}, or another order"
-            raise spec.wrong("events", found, "Write each input where it was worked on.")
+            raise spec.wrong("events", found, "Write each input where it was processed.")
     return in_order

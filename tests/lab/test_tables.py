@@ -5,7 +5,7 @@ import re
 import pytest
 
 from lab import tables
-from lab.tables import Table, TableError, fill_page, join_tables, make_table
+from lab.tables import MarkdownTable, TableError, fill_page, join_tables, make_table
 from tests.paths import ROOT
 
 HEXAPOD = "results/hexapod/report.md"
@@ -45,9 +45,9 @@ def test_what_no_file_has_is_named(request_, says):
 
 def test_columns_of_several_tables_are_joined_by_the_name_of_the_row():
     found = [
-        Table(["policy", "x"], [["a", "1"], ["b", "2"]]),
-        Table(["other", "x"], [["a", "9"]]),
-        Table(["policy", "y"], [["b", "3"]]),
+        MarkdownTable(["policy", "x"], [["a", "1"], ["b", "2"]]),
+        MarkdownTable(["other", "x"], [["a", "9"]]),
+        MarkdownTable(["policy", "y"], [["b", "3"]]),
     ]
     assert join_tables(found, ["policy", "y", "x"]).rows == [["a", "–", "1"], ["b", "3", "2"]]
 

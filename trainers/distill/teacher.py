@@ -32,7 +32,7 @@ class Teacher:
     widths: widths of a multilayer perceptron, from observations to actions; empty if unknown
     restart: called when an episode begins, of a script with a memory
     act_in_envs: of a teacher that knows the simulation: actions (B, act) in B environments, as
-        they are now; `act_all` is refused until `in_envs` is told which
+        they are now; `act_all` refuses until `in_envs` has named them
     """
 
     act_all: Callable[[FloatArray], FloatArray]
